@@ -1,9 +1,7 @@
-//! Networks of the goldens (golden/FORMAT.md, section 3).
-
 use zipsplat::weights::{Architecture, DepthArchitecture, Ffn};
 
-/// Returns the network of a golden: `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`,
-/// `small` or `giant_slice`.
+/// `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`, `small` or `giant_slice`
+/// (golden/FORMAT.md, section 3).
 ///
 /// Weights are seeded by the golden's name, `tiny` for `tiny_rect`.
 pub fn golden(name: &str) -> Architecture {
@@ -39,7 +37,6 @@ pub fn depth_micro() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro", [64, 4, 1], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }
 
-/// Returns a minimal single-view network with sky.
 pub fn depth_micro_alone() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro-alone", [64, 4, 4], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }

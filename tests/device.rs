@@ -1,9 +1,7 @@
-//! The tests' device.
-
 use std::sync::OnceLock;
 use zipsplat::gpu::{Device, DeviceOptions};
 
-/// Returns the process's device, validated if `ZIPSPLAT_VALIDATION` is 1.
+/// Validated if `ZIPSPLAT_VALIDATION` is 1.
 pub fn device() -> &'static Device {
     static DEVICE: OnceLock<Device> = OnceLock::new();
     DEVICE.get_or_init(|| Device::open(&DeviceOptions::default()).expect("a Vulkan device; tools/test.sh brings one"))

@@ -1,5 +1,3 @@
-//! Files by their bytes.
-
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 use image::{DynamicImage, ImageFormat};
 use std::io::{Cursor, Read, Write};
@@ -29,7 +27,6 @@ pub fn assert_malformed<T>(
     assert!(matches!(&error, Error::Format { path, .. } if path.ends_with(name)), "{error}");
 }
 
-/// Reads `bytes` as a file of this name.
 pub fn read_as<T>(name: &str, bytes: impl AsRef<[u8]>, read: impl FnOnce(&Path) -> T) -> T {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -37,7 +34,6 @@ pub fn read_as<T>(name: &str, bytes: impl AsRef<[u8]>, read: impl FnOnce(&Path) 
     read(&path)
 }
 
-/// Returns the bytes of the file of this name that `write` writes.
 pub fn bytes_of(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -45,21 +41,18 @@ pub fn bytes_of(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
     std::fs::read(path).unwrap()
 }
 
-/// Compresses bytes.
 pub fn gzip(bytes: &[u8], level: Compression) -> Vec<u8> {
     let mut out = GzEncoder::new(Vec::new(), level);
     out.write_all(bytes).unwrap();
     out.finish().unwrap()
 }
 
-/// Decompresses bytes.
 pub fn gunzip(bytes: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     GzDecoder::new(bytes).read_to_end(&mut out).unwrap();
     out
 }
 
-/// Encodes a picture.
 pub fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     image.write_to(&mut bytes, format).unwrap();

@@ -1,6 +1,7 @@
 //! Goldens: safetensors dumps of the PyTorch implementation (see `data/README.md`).
 //!
-//! A test whose golden is absent prints a line and passes.
+//! A test whose golden is absent prints a line and passes: functions that find or open one return
+//! `None`.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -12,7 +13,6 @@ use safetensors::tensor::{Metadata, TensorInfo};
 use safetensors::{Dtype, SafeTensors};
 use zipsplat::{gpu::cache_dir, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
-/// Header size of safetensors.
 const LENGTH_BYTES: usize = 8;
 
 /// `ZIPSPLAT_GRADIENTS` (gradients, depth networks), committed, shared.
@@ -22,7 +22,6 @@ fn folders() -> Vec<PathBuf> {
     env::var_os("ZIPSPLAT_GRADIENTS").map(PathBuf::from).into_iter().chain(beside).collect()
 }
 
-/// Finds a golden file, or prints a line.
 pub fn find(file: &str) -> Option<PathBuf> {
     let found = folders().into_iter().map(|folder| folder.join(file)).find(|path| path.is_file());
     if found.is_none() {
@@ -32,7 +31,6 @@ pub fn find(file: &str) -> Option<PathBuf> {
     found
 }
 
-/// Finds LPIPS weights, or prints a line.
 pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
     let found = Perceptual::file(network, cache_dir().as_deref());
     if let Err(error) = &found {
@@ -55,14 +53,13 @@ pub fn list(prefix: &str) -> Vec<String> {
     matching.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Reads a JSON golden, or prints a line.
 pub fn json(file: &str) -> Option<serde_json::Value> {
     let path = find(file)?;
     let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     Some(serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
 }
 
-/// Open golden. Accessors panic for absent keys or other types.
+/// Accessors panic for absent keys or other types.
 pub struct Golden {
     file: String,
     bytes: Vec<u8>,
@@ -71,7 +68,6 @@ pub struct Golden {
 }
 
 impl Golden {
-    /// Opens `file` (such as `micro.v2.safetensors`), or prints a line.
     pub fn open(file: &str) -> Option<Golden> {
         let path = find(file)?;
         let bytes = fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -80,22 +76,18 @@ impl Golden {
         Some(Golden { file: file.to_owned(), bytes, data_start: LENGTH_BYTES + header_len, header })
     }
 
-    /// Opens a committed golden.
     pub fn committed(file: &str) -> Golden {
         Golden::open(file).unwrap_or_else(|| panic!("golden {file} must be in tests/data"))
     }
 
-    /// Returns the file name, for messages.
     pub fn file(&self) -> &str {
         &self.file
     }
 
-    /// Returns whether `key` exists.
     pub fn has(&self, key: &str) -> bool {
         self.header.info(key).is_some()
     }
 
-    /// Returns the sorted keys.
     pub fn keys(&self) -> Vec<String> {
         self.header.tensors().into_keys().collect::<BTreeSet<_>>().into_iter().collect()
     }
@@ -105,7 +97,6 @@ impl Golden {
         self.keys().iter().filter_map(|key| key.strip_suffix(suffix)).map(str::to_owned).collect()
     }
 
-    /// Returns a value of `__metadata__`.
     pub fn metadata(&self, name: &str) -> &str {
         let entry = self.header.metadata().as_ref().and_then(|entries| entries.get(name));
         entry.unwrap_or_else(|| panic!("{}: no metadata {name:?}", self.file))
@@ -117,17 +108,15 @@ impl Golden {
         ratios.into_iter().map(|ratio| (ratio, format!("r{ratio}"))).collect()
     }
 
-    /// Returns the shape of `key`, C order.
     pub fn shape(&self, key: &str) -> &[usize] {
         &self.info(key).shape
     }
 
-    /// Returns an F32 tensor.
     pub fn f32(&self, key: &str) -> Vec<f32> {
         self.values(key, Dtype::F32, f32::from_le_bytes)
     }
 
-    /// Returns an F32 or F64 tensor, widened. Keys ending in `@f64` are F64.
+    /// Widens F32. Keys ending in `@f64` are F64.
     pub fn f64(&self, key: &str) -> Vec<f64> {
         match self.info(key).dtype {
             Dtype::F64 => self.values(key, Dtype::F64, f64::from_le_bytes),
@@ -135,7 +124,7 @@ impl Golden {
         }
     }
 
-    /// Returns an I64 or I32 tensor, widened.
+    /// Widens I32.
     pub fn i64(&self, key: &str) -> Vec<i64> {
         match self.info(key).dtype {
             Dtype::I32 => self.i32(key).into_iter().map(i64::from).collect(),
@@ -143,18 +132,16 @@ impl Golden {
         }
     }
 
-    /// Returns an I32 tensor.
     pub fn i32(&self, key: &str) -> Vec<i32> {
         self.values(key, Dtype::I32, i32::from_le_bytes)
     }
 
-    /// Returns an I64 or I32 tensor of indices.
+    /// Takes I64 or I32.
     pub fn u32(&self, key: &str) -> Vec<u32> {
         let index = |value: i64| u32::try_from(value).unwrap_or_else(|_| panic!("{} {key}: {value}", self.file));
         self.i64(key).into_iter().map(index).collect()
     }
 
-    /// Returns a U8 tensor.
     pub fn u8(&self, key: &str) -> Vec<u8> {
         self.values(key, Dtype::U8, |[byte]| byte)
     }

@@ -1,5 +1,7 @@
 //! Shared parts of the tests.
 
+#![allow(missing_docs)]
+
 pub mod architectures;
 pub mod catalog;
 pub mod command;

@@ -1,5 +1,3 @@
-//! Models and input images of the goldens.
-
 use crate::{architectures, device::device, golden::Golden};
 use std::ops::ControlFlow;
 use zipsplat::{
@@ -10,7 +8,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Returns the arithmetics other than f32.
 pub fn fast_arithmetics() -> Vec<Arithmetic> {
     let fast = [Precision::Fp16, Precision::Bf16, Precision::Int8];
     let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));
@@ -23,12 +20,11 @@ pub fn fast_arithmetics() -> Vec<Arithmetic> {
     found.flat_map(twice).collect()
 }
 
-/// Returns a model with generated weights, as in the goldens.
+/// Generated weights, as in the goldens.
 pub fn model(config: &str, arithmetic: Arithmetic) -> Model {
     model_on(device(), config, arithmetic)
 }
 
-/// Returns [`model`] on another device.
 pub fn model_on(device: &Device, config: &str, arithmetic: Arithmetic) -> Model {
     let key = if config == "tiny_rect" { "tiny" } else { config };
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
@@ -36,7 +32,6 @@ pub fn model_on(device: &Device, config: &str, arithmetic: Arithmetic) -> Model 
     Model::from_checkpoint_with(device, &checkpoint, arithmetic, progress).expect("small models fit")
 }
 
-/// Returns `in/images_u8` `[views, 3, height, width]` as images.
 pub fn images(golden: &Golden) -> Vec<Image> {
     let (shape, values) = (golden.shape("in/images_u8"), golden.u8("in/images_u8"));
     let (height, width) = (shape[2], shape[3]);
@@ -48,25 +43,18 @@ pub fn images(golden: &Golden) -> Vec<Image> {
     values.chunks(3 * area).map(picture).collect()
 }
 
-/// Returns the options of a golden: tokens of a ratio, at the network's scale, without pooling.
+/// At the network's scale, without pooling.
 pub fn options(ratio: f64, token_selection: TokenSelection) -> ReconstructOptions {
     let ratio = Ratio::Fixed(ratio);
     ReconstructOptions { ratio, token_selection, scene_scale: Some(1.0), kv_pool: 1, ..ReconstructOptions::default() }
 }
 
-/// Reconstructs a scene.
-///
-/// # Panics
-/// If it fails.
 #[track_caller]
 pub fn reconstruct(model: &Model, images: &[Image], options: &ReconstructOptions) -> Reconstruction {
     model.reconstruct_views(images, options, |_| ControlFlow::Continue(())).expect("a scene")
 }
 
-/// Runs the network's plan and keeps every observed tensor.
-///
-/// # Panics
-/// If it fails.
+/// Keeps every observed tensor.
 pub fn observe(model: &Model, images: &[Image], options: &ReconstructOptions) -> Run {
     let shape = model.shape(images, options).unwrap();
     let (plan, tensors) = model.record(shape, true).unwrap();
@@ -76,10 +64,6 @@ pub fn observe(model: &Model, images: &[Image], options: &ReconstructOptions) ->
     run
 }
 
-/// Returns the tensor observed under `name`.
-///
-/// # Panics
-/// If there is none.
 #[track_caller]
 pub fn observed(run: &Run, name: &str) -> Tensor {
     run.observed().iter().find(|(other, _)| other == name).expect("it is observed").1

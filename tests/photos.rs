@@ -1,9 +1,6 @@
-//! Photos: noise, and as cameras write them.
-
 use zipsplat::types::Image;
 use zipsplat_verify::noise::Noise;
 
-/// Returns an image of random bytes.
 pub fn noise(width: u32, height: u32, seed: u64) -> Image {
     Noise::new(seed).image(width, height)
 }

@@ -1,9 +1,7 @@
-//! PyTorch checkpoints, built opcode by opcode.
-
 use std::io::{Cursor, Write};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
-/// Returns a ZIP archive as of `torch.save`.
+/// ZIP, as of `torch.save`.
 pub fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(compression).with_alignment(64);
@@ -14,66 +12,51 @@ pub fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec
     zip.finish().unwrap().into_inner()
 }
 
-/// Returns an archive of a pickle alone.
 pub fn pickled(pickle: &[u8]) -> Vec<u8> {
     archive(&[("data.pkl", pickle)], CompressionMethod::Stored)
 }
 
-/// Pushes a text.
 pub fn text(text: &str) -> Vec<u8> {
     [b"X".as_slice(), &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
 }
 
-/// Pushes a number.
 pub fn int(value: usize) -> Vec<u8> {
     [b"J".as_slice(), &(value as i32).to_le_bytes()].concat()
 }
 
-/// Pushes a tuple.
 pub fn tuple(items: &[Vec<u8>]) -> Vec<u8> {
     [b"(", items.concat().as_slice(), b"t"].concat()
 }
 
-/// Pushes a global name.
 pub fn global(module: &str, name: &str) -> Vec<u8> {
     format!("c{module}\n{name}\n").into_bytes()
 }
 
-/// Pushes the result of a call.
 pub fn call(module: &str, name: &str, arguments: &[Vec<u8>]) -> Vec<u8> {
     [global(module, name), tuple(arguments), b"R".to_vec()].concat()
 }
 
-/// Pushes a dictionary.
 pub fn dict(pairs: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let items: Vec<u8> = pairs.iter().flat_map(|(key, value)| [text(key), value.clone()].concat()).collect();
     [b"}(", items.as_slice(), b"u"].concat()
 }
 
-/// Pushes a tuple of numbers.
 pub fn sizes(sizes: &[usize]) -> Vec<u8> {
     tuple(&sizes.iter().map(|&size| int(size)).collect::<Vec<_>>())
 }
 
-/// A strided view of a storage.
 #[derive(Clone, Copy)]
 pub struct View<'a> {
-    /// Name of the storage's type.
     pub kind: &'a str,
-    /// Name of the storage.
     pub key: &'a str,
     /// Length of the storage.
     pub elements: usize,
-    /// First element.
     pub offset: usize,
-    /// Sizes.
     pub shape: &'a [usize],
-    /// Strides.
     pub strides: &'a [usize],
 }
 
 impl View<'_> {
-    /// Pushes the tensor.
     pub fn pickle(&self) -> Vec<u8> {
         let storage =
             tuple(&[text("storage"), global("torch", self.kind), text(self.key), text("cpu"), int(self.elements)]);
@@ -85,7 +68,6 @@ impl View<'_> {
     }
 }
 
-/// Returns the strides of a row-major tensor.
 pub fn row_major(shape: &[usize]) -> Vec<usize> {
     (0..shape.len()).map(|axis| shape[axis + 1..].iter().product()).collect()
 }

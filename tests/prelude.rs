@@ -1,5 +1,3 @@
-//! Names that most tests use.
-
 pub use crate::{
     architectures,
     compare::{

@@ -7,7 +7,6 @@ use std::{
 
 const TARGET: &str = "ZIPSPLAT_TEST_TARGET";
 
-/// Returns the target of a child process.
 pub fn target() -> Option<PathBuf> {
     std::env::var_os(TARGET).map(PathBuf::from)
 }
@@ -26,7 +25,6 @@ pub fn child(name: &str, target: &Path, shell: &str) -> Command {
     command
 }
 
-/// Runs one test to completion and returns its output.
 #[track_caller]
 pub fn assert_succeeds(mut command: Command) -> String {
     let out = command.output().expect("bash");

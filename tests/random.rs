@@ -1,5 +1,3 @@
-//! Reproducible random numbers.
-
 use zipsplat::random::Random;
 
 /// Returns `len` values in (-1, 1) from a seed (splitmix64).
@@ -8,7 +6,6 @@ pub fn random(seed: u64, len: usize) -> Vec<f32> {
     (0..len).map(|i| signed(bits(seed, i))).collect()
 }
 
-/// Returns `len` integers below `bound` from a seed.
 pub fn random_below(seed: u64, len: usize, bound: u32) -> Vec<u32> {
     (0..len).map(|i| (bits(seed, i) >> 32) as u32 % bound).collect()
 }

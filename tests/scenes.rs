@@ -1,5 +1,3 @@
-//! Scenes and cameras: the goldens' and generated ones.
-
 use crate::golden::Golden;
 use bytemuck::cast_slice;
 use glam::{DMat3, DMat4, DVec3};
@@ -10,7 +8,6 @@ use zipsplat::{
 };
 pub use zipsplat_verify::{gaussians as reference_gaussians, noise::camera, reference_camera};
 
-/// Returns the scene of a golden `raster.*`.
 pub fn golden_scene(golden: &Golden) -> Scene {
     let coeffs = golden.shape("sh")[1];
     Scene {
@@ -23,27 +20,25 @@ pub fn golden_scene(golden: &Golden) -> Scene {
     }
 }
 
-/// Returns the intrinsics of a golden's cameras.
 pub fn intrinsics(golden: &Golden) -> Vec<Intrinsics> {
     let size = golden.u32("size_wh");
     let lens = |k: &[f64]| Intrinsics { width: size[0], height: size[1], fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
     golden.f64("Ks").chunks_exact(9).map(lens).collect()
 }
 
-/// Returns the cameras of a golden `raster.*`.
 pub fn golden_cameras(golden: &Golden) -> Vec<Camera> {
     let lenses = intrinsics(golden);
     let view = |(view, intrinsics): (&[f64], Intrinsics)| Camera { intrinsics, pose: camera_pose(view) };
     golden.f64("viewmats").chunks_exact(16).zip(lenses).map(view).collect()
 }
 
-/// Returns the pose of a world-to-camera matrix `[4, 4]`, row-major.
+/// Row-major `[4, 4]`, world to camera.
 pub fn camera_pose(view: &[f64]) -> Pose {
     let matrix = DMat4::from_cols_slice(view).transpose();
     Pose { rotation: DMat3::from_mat4(matrix), translation: matrix.w_axis.truncate() }.inverse()
 }
 
-/// Returns the same `count` Gaussians in front of [`camera`] on every call.
+/// The same `count` Gaussians in front of [`camera`] on every call.
 pub fn random_scene(count: usize, sh_degree: u32, size: f32) -> Scene {
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut random = |low: f32, high: f32| {
@@ -65,7 +60,7 @@ pub fn random_scene(count: usize, sh_degree: u32, size: f32) -> Scene {
     scene
 }
 
-/// Returns Gaussians `[n, 11 + 3K]`: means, scales, quaternions, opacities, SH coefficients.
+/// `[n, 11 + 3K]`: means, scales, quaternions, opacities, SH coefficients.
 pub fn packed(scene: &Scene) -> Vec<f32> {
     let k = scene.sh_coeffs_per_gaussian();
     let row = |i: usize| {
@@ -75,7 +70,6 @@ pub fn packed(scene: &Scene) -> Vec<f32> {
     (0..scene.len()).flat_map(row).collect()
 }
 
-/// Returns the arrays of a scene by field.
 pub fn fields(scene: &Scene) -> [(&'static str, &[f32]); 5] {
     [
         ("means", scene.means.as_flattened()),
@@ -86,34 +80,30 @@ pub fn fields(scene: &Scene) -> [(&'static str, &[f32]); 5] {
     ]
 }
 
-/// Returns the bits of values, for exact comparisons.
 pub fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
-/// Returns the extension of every scene format, such as `ply`.
 pub fn scene_extensions() -> impl Iterator<Item = &'static str> {
     SceneFormat::ALL.iter().map(|format| &format.extension()[1..])
 }
 
-/// Returns a pose from a row-major rotation and a translation.
+/// Takes a row-major rotation and a translation.
 pub fn pose(row: &[f64]) -> Pose {
     Pose { rotation: DMat3::from_cols_slice(&row[..9]).transpose(), translation: DVec3::from_slice(&row[9..]) }
 }
 
-/// Returns row-major rotations and translations.
 pub fn pose_rows<'a>(poses: impl IntoIterator<Item = &'a Pose>) -> Vec<f64> {
     let row = |pose: &Pose| [&pose.rotation.transpose().to_cols_array()[..], &pose.translation.to_array()].concat();
     poses.into_iter().flat_map(row).collect()
 }
 
-/// Returns a camera from a world-to-camera matrix `[4, 4]` and intrinsics `[3, 3]`, row-major.
+/// Takes a world-to-camera matrix `[4, 4]` and intrinsics `[3, 3]`, row-major.
 pub fn camera_of([view, k]: [&[f64]; 2], [width, height]: [u32; 2]) -> Camera {
     let intrinsics = Intrinsics { width, height, fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
     Camera { intrinsics, pose: camera_pose(view) }
 }
 
-/// Declares the tensors of a scene as inputs.
 pub fn scene_inputs(rec: &mut Recorder, len: usize, sh_degree: u32) -> SceneTensors {
     SceneTensors {
         means: rec.input::<[f32; 3]>("means", len),

@@ -123,12 +123,14 @@ if [[ -e /etc/debian_version ]]; then
     lavapipe) use_lavapipe 26 trixie-backports ;;
     lavapipe25) use_lavapipe 25 trixie ;;
     wide-lavapipe | swiftshader) use_lavapipe 26 trixie-backports && use_driver "$ZIPSPLAT_DRIVER" ;;
-    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe, lavapipe25, wide-lavapipe or swiftshader" ;;
+    *)
+      die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto, system, lavapipe, lavapipe25, wide-lavapipe or swiftshader" ;;
   esac
 else
   case ${ZIPSPLAT_DRIVER:-auto} in
     auto | system) ;; # the Vulkan loader's driver
-    *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto or system, as others are unpacked on Debian and Ubuntu only" ;;
+    *)
+      die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto or system, as others are unpacked on Debian and Ubuntu only" ;;
   esac
 fi
 

@@ -1,9 +1,7 @@
-//! Every call returns a status, for any arguments.
-
 use crate::calls::*;
 use std::{
     ffi::{CStr, c_void},
-    ptr::{dangling_mut, null, null_mut},
+    ptr::{null, null_mut},
     sync::atomic::{AtomicU32, Ordering},
     thread::{self, ThreadId},
 };
@@ -50,7 +48,6 @@ fn null_is_refused_everywhere() {
     for (i, status) in refused.into_iter().enumerate() {
         assert_eq!(status, ZS_ERROR_ARGUMENT, "call {i}");
     }
-    // SAFETY: as above.
     unsafe {
         zs_device_destroy(null_mut());
         zs_image_buffer_destroy(null_mut());
@@ -66,23 +63,13 @@ fn null_is_refused_everywhere() {
 fn failures_leave_null_behind() {
     let device = open_device();
     let text = c_string("no such file");
-    let mut scene = dangling_mut();
-    // SAFETY: a string, an output pointer.
-    fails(unsafe { zs_scene_open(text.as_ptr(), null(), &mut scene) }, ZS_ERROR_IO, &["no such file"]);
-    assert!(scene.is_null());
-    let mut model = dangling_mut();
-    // SAFETY: a live device, bytes of that length, an output pointer.
-    let status = unsafe { zs_model_from_memory(device.handle, b"no model".as_ptr().cast(), 8, null(), &mut model) };
-    fails(status, ZS_ERROR_FORMAT, &["model in memory"]);
-    assert!(model.is_null());
+    let scene = Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), null(), out) });
+    refused(scene, ZS_ERROR_IO, &["no such file"]);
+    refused(model_from(&device, b"no model", null()), ZS_ERROR_FORMAT, &["model in memory"]);
     let device = c_string("no such device");
     let options = zs_device_options { device: device.as_ptr(), ..Versioned::new() };
-    let mut other = dangling_mut();
-    // SAFETY: options that outlive the call.
-    fails(unsafe { zs_device_create(&options, &mut other) }, ZS_ERROR_NO_DEVICE, &["no such device"]);
-    assert!(other.is_null());
+    refused(try_device(&options), ZS_ERROR_NO_DEVICE, &["no such device"]);
     let bad = [b'x', 0xff, 0];
-    // SAFETY: a string, an output pointer.
     fails(unsafe { zs_image_buffer_open(bad.as_ptr().cast(), &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["path", "UTF-8"]);
 }
 
@@ -90,7 +77,6 @@ fn failures_leave_null_behind() {
 fn structures_of_other_sizes_are_refused() {
     for size in [0, 1, 4, 12, 16, 17, 24, 40, u32::MAX] {
         let options = zs_device_options { struct_size: size, ..Versioned::new() };
-        // SAFETY: a rejected size reads nothing else.
         let status = unsafe { zs_device_create(&options, &mut null_mut()) };
         fails(status, ZS_ERROR_ARGUMENT, &["zs_device_options", "struct_size"]);
     }
@@ -117,9 +103,7 @@ fn structures_of_arrays_say_their_size() {
     let path = folder.path().join("photo.png");
     photos[0].save_png(&path).expect("a photo can be written");
     let path = c_string(path.to_str().expect("UTF-8"));
-    // SAFETY: a string, an output pointer.
     let opened = Object::new(zs_image_buffer_destroy, |out| unsafe { zs_image_buffer_open(path.as_ptr(), out) });
-    // SAFETY: a live photo; a rejected size writes nothing.
     let status = unsafe { zs_image_buffer_get_image(opened.handle, &mut photo) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_image, struct_size"]);
 }
@@ -127,19 +111,15 @@ fn structures_of_arrays_say_their_size() {
 #[test]
 fn devices_are_described() {
     let mut count = 0;
-    // SAFETY: an output pointer.
     ok(unsafe { zs_device_count(&mut count) });
     let mut info = zs_device_info::new();
-    // SAFETY: a structure of its size.
     fails(unsafe { zs_device_get(count, &mut info) }, ZS_ERROR_ARGUMENT, &["device"]);
     let device = open_device();
-    // SAFETY: as above, and a live device.
     ok(unsafe { zs_device_get_info(device.handle, &mut info) });
     let name: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
     assert_eq!(name, zipsplat_tests::device::device().limits().name);
     assert!(count > 0 && info.usable == 1 && info.memory_bytes > 0);
     for index in 0..count {
-        // SAFETY: as above.
         ok(unsafe { zs_device_get(index, &mut info) });
         if info.usable == 0 {
             continue;
@@ -147,9 +127,7 @@ fn devices_are_described() {
         let number = c_string(index.to_string());
         for device in [number.as_ptr(), info.uuid.as_ptr()] {
             let options = zs_device_options { device, ..Versioned::new() };
-            // SAFETY: outlives the call; an output pointer.
-            let device = Object::new(zs_device_destroy, |out| unsafe { zs_device_create(&options, out) });
-            // SAFETY: as above.
+            let device = made(try_device(&options));
             ok(unsafe { zs_device_get_info(device.handle, &mut info) });
             assert_eq!(info.index as usize, index);
         }
@@ -159,18 +137,11 @@ fn devices_are_described() {
 #[test]
 fn memory_can_be_limited() {
     let options = zs_device_options { max_memory_bytes: 4096, ..Versioned::new() };
-    // SAFETY: outlives the call; an output pointer.
-    let device = Object::new(zs_device_destroy, |out| unsafe { zs_device_create(&options, out) });
-    let mut model = dangling_mut();
-    // SAFETY: a live device, bytes of that length, no options, an output pointer.
-    let status =
-        unsafe { zs_model_from_memory(device.handle, micro().as_ptr().cast(), micro().len(), null(), &mut model) };
-    fails(status, ZS_ERROR_OUT_OF_MEMORY, &["4096 bytes"]);
-    assert!(model.is_null());
+    let device = made(try_device(&options));
+    refused(model_from(&device, micro(), null()), ZS_ERROR_OUT_OF_MEMORY, &["4096 bytes"]);
 }
 
 unsafe extern "C" fn stop_at_third(calls: *mut c_void, progress: *const zs_progress) -> i32 {
-    // SAFETY: the library's structure.
     let zs_progress { struct_size, fraction, stage, .. } = unsafe { *progress };
     assert!((0.0..=1.0).contains(&fraction) && !stage.is_null());
     assert_eq!(struct_size as usize, size_of::<zs_progress>());
@@ -185,27 +156,15 @@ fn progress_is_told_and_can_stop() {
     let calls = AtomicU32::new(0);
     let user_data = (&raw const calls).cast_mut().cast();
     let options = zs_model_options { progress: Some(stop_at_third), user_data, ..Versioned::new() };
-    let mut model = null_mut();
-    // SAFETY: live objects, bytes of that length.
-    let status =
-        unsafe { zs_model_from_memory(device.handle, micro().as_ptr().cast(), micro().len(), &options, &mut model) };
-    fails(status, ZS_ERROR_CANCELLED, &["cancelled"]);
+    refused(try_model_with(&device, &options), ZS_ERROR_CANCELLED, &["cancelled"]);
     assert_eq!(calls.swap(0, Ordering::Relaxed), 3);
     let model = crate::calls::model(&device);
     let photos = photos(2);
     let images: Vec<_> = photos.iter().map(image_of).collect();
     let options = zs_reconstruct_options { progress: Some(stop_at_third), user_data, ..reconstruct_options() };
-    let mut scene = null_mut();
-    // SAFETY: live objects, full arrays.
-    let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), 2, &options, &mut scene) };
-    fails(status, ZS_ERROR_CANCELLED, &[]);
-    assert!(scene.is_null());
+    refused(try_reconstruct(&model, &images, &options), ZS_ERROR_CANCELLED, &[]);
     let options = zs_model_options { precision: 9, ..Versioned::new() };
-    let (bytes, size) = (micro().as_ptr().cast(), micro().len());
-    let mut refused = null_mut();
-    // SAFETY: live objects, bytes of that length.
-    let status = unsafe { zs_model_from_memory(device.handle, bytes, size, &options, &mut refused) };
-    fails(status, ZS_ERROR_ARGUMENT, &["precision", "9"]);
+    refused(try_model_with(&device, &options), ZS_ERROR_ARGUMENT, &["precision", "9"]);
     reconstruct(&model, &images, &reconstruct_options());
 }
 
@@ -252,43 +211,41 @@ fn what_cannot_be_reconstructed_is_refused() {
     let photos = photos(1);
     let image = image_of(&photos[0]);
     let options = reconstruct_options();
-    let refused = |images: &[zs_image], count: usize, options: &zs_reconstruct_options, words: &[&str]| {
-        let mut made = dangling_mut();
+    let refuses = |images: &[zs_image], count: usize, options: &zs_reconstruct_options, words: &[&str]| {
         // SAFETY: oversized counts are rejected unread.
-        let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, &mut made) };
-        fails(status, ZS_ERROR_ARGUMENT, words);
-        assert!(made.is_null());
+        let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, out) };
+        refused(Object::try_new(zs_reconstruction_destroy, make), ZS_ERROR_ARGUMENT, words);
     };
     for count in [0, 193, usize::MAX, usize::MAX / 32 + 2] {
-        refused(&[image], count, &options, &["images"]);
+        refuses(&[image], count, &options, &["images"]);
     }
     for (width, height) in [(0, 1), (1, 0), (u32::MAX, u32::MAX), (32_769, 1), (32_768, 32_768)] {
-        refused(&[zs_image { width, height, ..image }], 1, &options, &["image 0, size"]);
+        refuses(&[zs_image { width, height, ..image }], 1, &options, &["image 0, size"]);
     }
     for stride in [1, -1, 3 * i64::from(SIDE) - 1, i64::MAX, i64::MIN] {
-        refused(&[zs_image { stride, ..image }], 1, &options, &["image 0, stride"]);
+        refuses(&[zs_image { stride, ..image }], 1, &options, &["image 0, stride"]);
     }
     for format in [-1, 5, i32::MAX] {
-        refused(&[zs_image { format, ..image }], 1, &options, &["pixel format"]);
+        refuses(&[zs_image { format, ..image }], 1, &options, &["pixel format"]);
     }
-    refused(&[zs_image { pixels: null(), ..image }], 1, &options, &["image 0", "NULL"]);
+    refuses(&[zs_image { pixels: null(), ..image }], 1, &options, &["image 0", "NULL"]);
     for ratio in [-0.5, 1.5, f64::NAN, f64::INFINITY] {
-        refused(&[image], 1, &zs_reconstruct_options { ratio, ..options }, &["ratio"]);
+        refuses(&[image], 1, &zs_reconstruct_options { ratio, ..options }, &["ratio"]);
     }
     for scene_scale in [-1.0, 1e-50, 1e50, f64::NAN, f64::INFINITY] {
-        refused(&[image], 1, &zs_reconstruct_options { scene_scale, ..options }, &["scene scale", "length"]);
+        refuses(&[image], 1, &zs_reconstruct_options { scene_scale, ..options }, &["scene scale", "length"]);
     }
     for input_size in [[14, 0], [15, 14], [u32::MAX, 14], [1 << 31, 1 << 31], [14 * 4096, 14 * 4096]] {
-        refused(&[image], 1, &zs_reconstruct_options { input_size, ..options }, &["size of the views"]);
+        refuses(&[image], 1, &zs_reconstruct_options { input_size, ..options }, &["size of the views"]);
     }
-    refused(&[image], 1, &zs_reconstruct_options { world: 2, ..options }, &["world", "cameras"]);
-    refused(&[image], 1, &zs_reconstruct_options { world: 3, ..options }, &["world", "zs_world"]);
-    refused(&[image], 1, &zs_reconstruct_options { token_selection: -1, ..options }, &["token_selection"]);
-    refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..options }, &["cameras", "NULL"]);
+    refuses(&[image], 1, &zs_reconstruct_options { world: 2, ..options }, &["world", "cameras"]);
+    refuses(&[image], 1, &zs_reconstruct_options { world: 3, ..options }, &["world", "zs_world"]);
+    refuses(&[image], 1, &zs_reconstruct_options { token_selection: -1, ..options }, &["token_selection"]);
+    refuses(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..options }, &["cameras", "NULL"]);
     let cameras = [camera(SIDE, SIDE, f64::NAN); 2];
     let posed = zs_reconstruct_options { cameras: cameras.as_ptr(), camera_count: 2, ..options };
-    refused(&[image], 1, &posed, &["cameras", "found 2"]);
-    refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..posed }, &["camera 0", "translation"]);
+    refuses(&[image], 1, &posed, &["cameras", "found 2"]);
+    refuses(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..posed }, &["camera 0", "translation"]);
 }
 
 #[test]
@@ -326,7 +283,6 @@ fn what_cannot_be_drawn_is_refused() {
     refused(&good, &picture, 1, &zs_render_options { background: [f32::NAN; 3], ..options }, "background");
     // SAFETY: zero cameras are not accessed.
     ok(unsafe { zs_render(renderer.handle, null(), null(), 0, null()) });
-    // SAFETY: as above.
     let status = unsafe { zs_render_to_vulkan(renderer.handle, &good, null(), null()) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_device_from_vulkan"]);
 }
@@ -342,28 +298,24 @@ fn what_is_no_scene_is_refused() {
         sh_degree: 0,
     };
     let array = arrays(&gaussians);
-    let refused = |array: &zs_gaussians, word: &str| {
-        let mut scene = dangling_mut();
+    let refuses = |array: &zs_gaussians, word: &str| {
         // SAFETY: oversized arrays are rejected unread.
-        fails(unsafe { zs_scene_create(array, &mut scene) }, ZS_ERROR_ARGUMENT, &[word]);
-        assert!(scene.is_null());
+        let make = |out| unsafe { zs_scene_create(array, out) };
+        refused(Object::try_new(zs_scene_destroy, make), ZS_ERROR_ARGUMENT, &[word]);
     };
     for count in [usize::MAX, 1 << 40, (1 << 28) + 1] {
-        refused(&zs_gaussians { count, ..array }, "gaussians");
+        refuses(&zs_gaussians { count, ..array }, "gaussians");
     }
-    refused(&zs_gaussians { sh_degree: 4, ..array }, "sh_degree");
-    refused(&zs_gaussians { sh_degree: u32::MAX, ..array }, "sh_degree");
-    refused(&zs_gaussians { means: null(), ..array }, "means");
-    refused(&zs_gaussians { struct_size: 999, ..array }, "struct_size");
+    refuses(&zs_gaussians { sh_degree: 4, ..array }, "sh_degree");
+    refuses(&zs_gaussians { sh_degree: u32::MAX, ..array }, "sh_degree");
+    refuses(&zs_gaussians { means: null(), ..array }, "means");
+    refuses(&zs_gaussians { struct_size: 999, ..array }, "struct_size");
     let opacity = [2.0f32];
-    refused(&zs_gaussians { opacities: opacity.as_ptr(), ..array }, "opacities");
-    // SAFETY: arrays of their lengths.
+    refuses(&zs_gaussians { opacities: opacity.as_ptr(), ..array }, "opacities");
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
-    // SAFETY: a live scene; a rejected size writes nothing.
     let status = unsafe { zs_scene_get_gaussians(scene.handle, &mut zs_gaussians { struct_size: 0, ..array }) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_gaussians", "struct_size"]);
     let path = c_string("scene.unknown");
-    // SAFETY: a live scene and a string.
     fails(unsafe { zs_scene_save(scene.handle, path.as_ptr(), null()) }, ZS_ERROR_ARGUMENT, &["scene file"]);
 }
 
@@ -376,9 +328,8 @@ fn handles_that_cannot_be_adopted_are_refused() {
         (zs_vulkan_device { lock_queue: Some(lock), ..vulkan }, "unlock_queue"),
         (zs_vulkan_device { reserved: 1, ..vulkan }, "reserved"),
     ] {
-        let mut device = dangling_mut();
         // SAFETY: null handles are rejected before use.
-        fails(unsafe { zs_device_from_vulkan(&vulkan, &mut device) }, ZS_ERROR_ARGUMENT, &[word]);
-        assert!(device.is_null());
+        let make = |out| unsafe { zs_device_from_vulkan(&vulkan, out) };
+        refused(Object::try_new(zs_device_destroy, make), ZS_ERROR_ARGUMENT, &[word]);
     }
 }

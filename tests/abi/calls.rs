@@ -14,7 +14,6 @@ use zipsplat::{
 use zipsplat_c::*;
 use zipsplat_tests::{architectures, device::device as rust_device};
 
-/// Destroyed on drop.
 pub struct Object<T> {
     pub handle: *mut T,
     destroy: unsafe extern "C" fn(*mut T),
@@ -22,7 +21,6 @@ pub struct Object<T> {
 
 // SAFETY: any thread may use and destroy objects.
 unsafe impl<T> Send for Object<T> {}
-// SAFETY: as above.
 unsafe impl<T> Sync for Object<T> {}
 
 impl<T> Object<T> {
@@ -67,6 +65,12 @@ pub fn fails(status: zs_status, expected: zs_status, words: &[&str]) {
     }
 }
 
+/// [`fails`] for a constructor, which leaves NULL.
+#[track_caller]
+pub fn refused<T>(result: Result<T, zs_status>, expected: zs_status, words: &[&str]) {
+    fails(result.err().expect("it is refused"), expected, words);
+}
+
 pub fn message() -> String {
     // SAFETY: a string of this thread.
     unsafe { CStr::from_ptr(zs_last_error()) }.to_str().expect("UTF-8").to_owned()
@@ -89,8 +93,11 @@ pub fn checkpoint() -> Checkpoint {
 }
 
 pub fn open_device() -> Object<zs_device> {
-    // SAFETY: no options, an output pointer.
     Object::new(zs_device_destroy, |out| unsafe { zs_device_create(null(), out) })
+}
+
+pub fn try_device(options: &zs_device_options) -> Result<Object<zs_device>, zs_status> {
+    Object::try_new(zs_device_destroy, |out| unsafe { zs_device_create(options, out) })
 }
 
 pub fn model(device: &Object<zs_device>) -> Object<zs_model> {
@@ -108,12 +115,9 @@ pub fn try_model_with(device: &Object<zs_device>, options: &zs_model_options) ->
 pub fn model_from(
     device: &Object<zs_device>,
     bytes: &[u8],
-    options: &zs_model_options,
+    options: *const zs_model_options,
 ) -> Result<Object<zs_model>, zs_status> {
-    let load = |out| {
-        // SAFETY: a live device, bytes of that length, options, an output pointer.
-        unsafe { zs_model_from_memory(device.handle, bytes.as_ptr().cast(), bytes.len(), options, out) }
-    };
+    let load = |out| unsafe { zs_model_from_memory(device.handle, bytes.as_ptr().cast(), bytes.len(), options, out) };
     Object::try_new(zs_model_destroy, load)
 }
 
@@ -154,12 +158,11 @@ pub fn try_reconstruct(
     images: &[zs_image],
     options: &zs_reconstruct_options,
 ) -> Result<Object<zs_reconstruction>, zs_status> {
-    // SAFETY: live objects, full arrays.
     let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), images.len(), options, out) };
     Object::try_new(zs_reconstruction_destroy, make)
 }
 
-/// The same in Rust, of views.
+/// The same in Rust.
 pub fn rust_scene(checkpoint: &Checkpoint, views: &[Image], options: &ReconstructOptions) -> Scene {
     let model = Model::from_checkpoint(rust_device(), checkpoint, |_| Continue(())).expect("a model");
     model.reconstruct_views(views, options, |_| Continue(())).expect("a scene").to_scene().expect("Gaussians")
@@ -170,7 +173,6 @@ pub fn to_scene(reconstruction: &Object<zs_reconstruction>) -> Object<zs_scene> 
 }
 
 pub fn try_to_scene(reconstruction: &Object<zs_reconstruction>) -> Result<Object<zs_scene>, zs_status> {
-    // SAFETY: a live object, an output pointer.
     Object::try_new(zs_scene_destroy, |out| unsafe { zs_reconstruction_to_scene(reconstruction.handle, out) })
 }
 
@@ -179,7 +181,6 @@ pub fn open_scene(
     options: &zs_scene_open_options,
 ) -> Result<Object<zs_scene>, zs_status> {
     let path = c_string(path.as_ref().to_str().expect("UTF-8"));
-    // SAFETY: a string, options, an output pointer.
     Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_open(path.as_ptr(), options, out) })
 }
 
@@ -188,7 +189,6 @@ pub fn renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Object<
 }
 
 pub fn try_renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
-    // SAFETY: live objects, an output pointer.
     Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(device.handle, scene.handle, out) })
 }
 
@@ -216,16 +216,13 @@ pub fn picture_at(pixels: *mut u8) -> zs_render_buffers {
 
 pub fn scene_of(scene: &Scene) -> Object<zs_scene> {
     let array = arrays(scene);
-    // SAFETY: full arrays, an output pointer.
     Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) })
 }
 
 pub fn read(scene: &Object<zs_scene>) -> Scene {
     let mut found = arrays(&Scene::default());
-    // SAFETY: a live scene and a structure of its size.
     ok(unsafe { zs_scene_get_gaussians(scene.handle, &mut found) });
     let (n, k) = (found.count, (found.sh_degree as usize + 1).pow(2));
-    // SAFETY: arrays of a live scene, of their documented lengths.
     unsafe {
         Scene {
             means: std::slice::from_raw_parts(found.means.cast(), n).to_vec(),
@@ -273,7 +270,6 @@ pub fn try_draw(
 ) -> Result<Vec<u8>, zs_status> {
     let mut pixels = vec![0; (camera.width * camera.height) as usize * bytes];
     let picture = picture_at(pixels.as_mut_ptr());
-    // SAFETY: live objects, and memory of the picture's size.
     match unsafe { zs_render(renderer.handle, camera, &picture, 1, options) } {
         zs_status::ZS_OK => Ok(pixels),
         status => Err(status),

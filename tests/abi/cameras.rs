@@ -22,7 +22,6 @@ fn cameras_are_those_of_rust() {
     assert!(found.iter().any(Result::is_ok), "{found:?}");
     let mut estimate = zs_camera_estimate::new();
     for (i, found) in found.iter().enumerate() {
-        // SAFETY: a live object and a structure of its size; a camera of the live object, or NULL.
         let camera = unsafe {
             ok(zs_reconstruction_estimate_camera(reconstruction.handle, i, &mut estimate));
             estimate.camera.as_ref()
@@ -39,7 +38,6 @@ fn cameras_are_those_of_rust() {
         assert_eq!(camera.translation, pose.translation.to_array());
     }
     let mut info = zs_reconstruction_info::new();
-    // SAFETY: as above.
     unsafe {
         ok(zs_reconstruction_get_info(reconstruction.handle, &mut info));
         let status = zs_reconstruction_estimate_camera(reconstruction.handle, 3, &mut estimate);
@@ -67,7 +65,6 @@ fn known_cameras_are_not_estimated_and_an_estimated_scale_is_a_warning() {
     };
     let reconstruction = made(try_reconstruct(&model(&device), &images, &posed));
     let (mut estimate, mut info) = (zs_camera_estimate::new(), zs_reconstruction_info::new());
-    // SAFETY: a live object and structures of their size; text of the live object.
     let warnings = unsafe {
         let status = zs_reconstruction_estimate_camera(reconstruction.handle, 0, &mut estimate);
         fails(status, ZS_ERROR_ARGUMENT, &["camera"]);

@@ -43,7 +43,6 @@ fn capture(points: bool) -> TempDir {
 
 fn open(path: &Path) -> Object<zs_capture> {
     let path = c_string(path.to_str().expect("UTF-8"));
-    // SAFETY: a string, an output pointer.
     Object::new(zs_capture_destroy, |out| unsafe { zs_capture_open(path.as_ptr(), out) })
 }
 
@@ -51,7 +50,6 @@ fn text(pointer: *const c_char) -> String {
     if pointer.is_null() {
         return String::new();
     }
-    // SAFETY: a string of a live capture.
     unsafe { CStr::from_ptr(pointer) }.to_str().expect("UTF-8").to_owned()
 }
 
@@ -64,13 +62,11 @@ struct Contents {
 
 fn all(capture: &Object<zs_capture>) -> Contents {
     let mut info = zs_capture_info::new();
-    // SAFETY: a live object and a structure of its size.
     ok(unsafe { zs_capture_get_info(capture.handle, &mut info) });
     let notes = text(info.warnings);
     let mut contents = Contents { cameras: Vec::new(), names: Vec::new(), paths: Vec::new(), notes };
     for i in 0..info.view_count {
         let mut view = zs_capture_view::new();
-        // SAFETY: as above; a camera of a live capture.
         contents.cameras.push(unsafe {
             ok(zs_capture_get_view(capture.handle, i, &mut view));
             *view.camera
@@ -82,13 +78,11 @@ fn all(capture: &Object<zs_capture>) -> Contents {
 }
 
 fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_image_buffer> {
-    // SAFETY: a live object, an output pointer.
     Object::new(zs_image_buffer_destroy, |out| unsafe { zs_capture_open_image(capture.handle, index, null(), out) })
 }
 
 fn pixels(photo: &Object<zs_image_buffer>) -> zs_image {
     let mut image = image_of(&zipsplat::Image::new(1, 1, vec![0; 3]).expect("a picture"));
-    // SAFETY: a live photo and a structure of its size.
     ok(unsafe { zs_image_buffer_get_image(photo.handle, &mut image) });
     image
 }
@@ -109,7 +103,6 @@ fn photos_and_cameras_are_rusts() {
         assert_eq!(Path::new(&contents.paths[i]), frame.photo.as_ref().expect("it is there"));
         let (photo, expected) = (photo(&capture, i), frame.open(&contents.paths[i]).expect("a photo"));
         let image = pixels(&photo);
-        // SAFETY: memory of a live photo.
         let rgb = unsafe { std::slice::from_raw_parts(image.pixels.cast::<u8>(), expected.rgb.len()) };
         assert_same("pixels", rgb, &expected.rgb);
     }
@@ -121,7 +114,6 @@ fn photos_are_found_by_name() {
     let capture = open(folder.path());
     for (path, expected) in [("elsewhere/images/1.png", 1), ("2.png", 2), ("3.png", COUNT)] {
         let (path, mut index) = (c_string(path), usize::MAX);
-        // SAFETY: a live object, a string, an output pointer.
         ok(unsafe { zs_capture_find(capture.handle, path.as_ptr(), &mut index) });
         assert_eq!(index, expected);
     }
@@ -170,12 +162,10 @@ fn captures_of_arrays_are_written_and_read() {
         |(camera, name): (&zs_camera, &CStr)| zs_capture_view { name: name.as_ptr(), camera, ..Versioned::new() };
     let views: Vec<_> = cameras.iter().zip(names).map(view).collect();
     let create = |views: &[zs_capture_view]| {
-        // SAFETY: a full array of strings and cameras, an output pointer.
         Object::try_new(zs_capture_destroy, |out| unsafe { zs_capture_create(views.as_ptr(), views.len(), out) })
     };
     let path = folder.path().join("transforms.json");
     let text = c_string(path.to_str().expect("UTF-8"));
-    // SAFETY: a live object, a string.
     ok(unsafe { zs_capture_save(made(create(&views)).handle, text.as_ptr()) });
     let contents = all(&open(&path));
     assert_eq!(contents.names, ["a.png", "b.png"]);
@@ -200,12 +190,10 @@ fn what_is_no_capture_is_refused() {
     let (mut out, mut index) = (null_mut(), 0);
     let open = |path: &Path, out: &mut *mut zs_capture| {
         let path = c_string(path.to_str().expect("UTF-8"));
-        // SAFETY: a string, an output pointer.
         unsafe { zs_capture_open(path.as_ptr(), out) }
     };
     fails(open(&folder.path().join("none"), &mut out), ZS_ERROR_IO, &["none"]);
     fails(open(&folder.path().join("images"), &mut out), ZS_ERROR_ARGUMENT, &["images", "transforms.json"]);
-    // SAFETY: live objects or NULL, and output pointers.
     unsafe {
         let view = &mut zs_capture_view::new();
         fails(zs_capture_get_view(capture.handle, COUNT, view), ZS_ERROR_ARGUMENT, &["3", "below 3"]);

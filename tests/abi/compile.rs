@@ -1,5 +1,3 @@
-//! The header compiles as C and C++, and programs find the library.
-
 use crate::{
     header::root,
     installation::{Linking, installation, runner, success},

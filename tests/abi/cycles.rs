@@ -1,5 +1,3 @@
-//! Destroyed objects release their memory.
-
 use crate::{
     calls::*,
     installation::{runner, success},
@@ -9,7 +7,7 @@ use zipsplat_c::*;
 
 /// Allocators and driver threads occasionally grow; a leak grows in every stretch.
 const STRETCHES: usize = 4;
-/// Cycles before the first stretch, in which they grow most.
+/// Warm-up cycles: allocators grow most at the start.
 const WARM_UP: usize = 24;
 /// In MB, of the stretch that grows least.
 const LEAST_GROWTH: f64 = 0.5;
@@ -36,7 +34,6 @@ fn resident_bytes() -> u64 {
     4096 * pages
 }
 
-/// In MB.
 fn growth(cycles: usize) -> f64 {
     let before = resident_bytes();
     (0..cycles).for_each(cycle);

@@ -22,14 +22,12 @@ fn model(device: &Object<zs_device>, folder: &Path, alone: bool) -> (DepthCheckp
     let path = c_string(path.to_str().expect("UTF-8"));
     let precision = zs_precision::ZS_PRECISION_FP32 as i32;
     let of_model = zs_depth_model_options { precision, ..Versioned::new() };
-    // SAFETY: a live device, a path, options, an output pointer.
     let open = |out| unsafe { zs_depth_model_load(device.handle, path.as_ptr(), &of_model, out) };
     (checkpoint, Object::new(zs_depth_model_destroy, open))
 }
 
 fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_options) -> Object<zs_depth_result> {
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
-    // SAFETY: a live model, pictures, options, an output pointer.
     Object::new(zs_depth_result_destroy, |out| unsafe {
         zs_depth_predict(model.handle, images.as_ptr(), images.len(), options, out)
     })
@@ -37,7 +35,6 @@ fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_opt
 
 fn get(depths: &Object<zs_depth_result>, index: usize) -> (zs_depth_map, zs_camera) {
     let mut map = zs_depth_map::new();
-    // SAFETY: live depths and a structure with its size set; a camera of live depths, or NULL.
     let camera = unsafe {
         ok(zs_depth_result_get_map(depths.handle, index, &mut map));
         map.image_camera.as_ref()
@@ -59,7 +56,6 @@ fn depth_is_that_of_rust() {
     for (i, (of_view, camera)) in truth.views.iter().zip(&cameras).enumerate() {
         let (view, found) = get(&depths, i);
         assert_eq!((view.width, view.height, found.width), (SIDE, SIDE, SIDE));
-        // SAFETY: arrays of live depths.
         let [depth, confidence] = [view.depth, view.confidence]
             .map(|values| unsafe { std::slice::from_raw_parts(values, (SIDE * SIDE) as usize) });
         assert!(depth == of_view.depth && Some(confidence) == of_view.confidence.as_deref() && view.sky.is_null());
@@ -68,7 +64,6 @@ fn depth_is_that_of_rust() {
         assert_eq!(found.translation, camera.pose.translation.to_array());
     }
     let (mut info, mut of_model) = (zs_depth_result_info::new(), zs_depth_model_info::new());
-    // SAFETY: live objects and structures of their size; a camera of live depths.
     let of_map = unsafe {
         ok(zs_depth_result_get_info(depths.handle, &mut info));
         ok(zs_depth_model_get_info(model.handle, &mut of_model));
@@ -82,7 +77,6 @@ fn depth_is_that_of_rust() {
     assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
     assert_ne!(lenses[0], [cameras[0].intrinsics.fx, cameras[0].intrinsics.fy]);
 
-    // SAFETY: live depths, and an output pointer. The scene equals Rust's.
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_depth_result_to_scene(depths.handle, 3, out) });
     let expected = truth.scene(&cameras, &photos, Some(3));
     assert!(expected.len() > 20);
@@ -111,7 +105,6 @@ fn photos_by_themselves_have_sky_and_no_cameras() {
     assert!(view.confidence.is_null() && !view.sky.is_null() && !view.depth.is_null());
     assert_eq!((camera.width, camera.height), (0, 0));
     assert!(view.camera.is_null());
-    // SAFETY: live depths, an output pointer.
     let status = unsafe { zs_depth_result_to_scene(depths.handle, 0, &mut null_mut()) };
     fails(status, ZS_ERROR_ARGUMENT, &["cameras of the depths", "none"]);
 }
@@ -129,12 +122,10 @@ fn wrong_arguments_are_named() {
         (zs_depth_options { per_view_focal: 2, ..Versioned::new() }, ["per_view_focal", "0 or 1"]),
         (zs_depth_options { cameras: &camera, camera_count: 1, ..Versioned::new() }, ["number of cameras", "0 or 2"]),
     ] {
-        // SAFETY: a live model, pictures, options, an output pointer.
         let status = unsafe { zs_depth_predict(model.handle, images.as_ptr(), 2, &options, &mut null_mut()) };
         fails(status, ZS_ERROR_ARGUMENT, &words);
     }
     let depths = find(&model, &photos, &zs_depth_options { input_size: SIDE, ..Versioned::new() });
-    // SAFETY: live objects or NULL, which every entry point accepts for every pointer.
     unsafe {
         for status in [
             zs_depth_model_load(null(), null(), null(), null_mut()),

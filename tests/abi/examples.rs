@@ -105,7 +105,12 @@ fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
         command
     };
     success(run(&model));
-    let failed = run(&folder.path().join("none")).output().expect("the program runs");
+    assert_names_the_error(run(&folder.path().join("none")));
+}
+
+#[track_caller]
+fn assert_names_the_error(mut command: Command) {
+    let failed = command.output().expect("the program runs");
     let message = String::from_utf8_lossy(&failed.stderr);
     assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
 }
@@ -119,7 +124,6 @@ fn python_with_numpy() -> Option<PathBuf> {
     })
 }
 
-/// Single channel, top row first.
 fn portable_float_map(path: &Path) -> Vec<f32> {
     let bytes = std::fs::read(path).expect("a picture of floats");
     let text: Vec<&[u8]> = bytes.splitn(4, |byte| *byte == b'\n').collect();
@@ -159,10 +163,7 @@ fn depth_in_c() {
     }
     let cameras = std::fs::read_to_string(folder.path().join("out-cameras.txt")).expect("cameras");
     assert!(cameras.lines().count() == 2 && cameras.lines().all(|line| line.split(' ').count() == 16), "{cameras}");
-
-    let failed = run(&folder.path().join("none")).output().expect("the program runs");
-    let message = String::from_utf8_lossy(&failed.stderr);
-    assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
+    assert_names_the_error(run(&folder.path().join("none")));
 }
 
 /// With synchronization validation if the tests have it.

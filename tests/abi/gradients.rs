@@ -60,17 +60,14 @@ impl Case {
         let to = zs_gradients { means, scales, quats, opacities, sh_coeffs, cameras, means2d, ..Versioned::new() };
         let cameras = self.cameras.as_ptr();
         let scene = if own { null_mut() } else { scene.handle };
-        // SAFETY: live objects, full arrays.
         unsafe { zs_render_backward(renderer.handle, scene, cameras, grads.as_ptr(), 2, options, &to) }
     }
 
-    /// Weighted sum of zs_render's pictures.
     fn sum(&self, scene: &Scene, cameras: &[zs_camera; 2], options: &zs_render_options) -> f64 {
         let (device, scene) = (open_device(), scene_of(scene));
         let renderer = renderer(&device, &scene);
         let mut drawn = self.weights.clone();
         let pictures = Self::pictures(&mut drawn);
-        // SAFETY: live objects, and memory of the pictures' size.
         ok(unsafe { zs_render(renderer.handle, cameras.as_ptr(), pictures.as_ptr(), 2, options) });
         let terms = drawn.iter().flatten().zip(self.weights.iter().flatten());
         terms.map(|(value, weight)| f64::from(*value) * f64::from(*weight)).sum()
@@ -188,7 +185,6 @@ fn what_has_none_is_refused_and_nothing_is_written() {
     case.cameras[1].fx = f64::NAN;
     fails(case.run(&good), ZS_ERROR_ARGUMENT, &["camera 1"]);
     assert!(case.found.iter().flatten().all(|value| *value == 7.0));
-    // SAFETY: all pointers are NULL.
     let status = unsafe { zs_render_backward(null(), null(), null(), null(), 0, null(), null()) };
     assert_eq!(status, ZS_ERROR_ARGUMENT);
 }

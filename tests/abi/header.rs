@@ -77,7 +77,8 @@ fn text(name: &str) -> String {
 }
 
 /// cbindgen would write ten preprocessor lines per enumeration.
-const BEFORE: &str = r#"// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
+const BEFORE: &str = r#"
+// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
 #define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
 #else
@@ -117,9 +118,10 @@ fn by_source(header: &str, sources: &[String]) -> String {
         let section = &mut sections[source.unwrap_or_else(|| panic!("no source declares {name}:\n{item}"))];
         *section += &format!("\n{}\n", plain_enumeration(item));
     }
-    let mut out = format!("{top}#include <stdint.h>\n\n{BEFORE}");
+    let mut out = format!("{top}#include <stdint.h>\n{BEFORE}");
     for (source, section) in sources.iter().zip(sections) {
-        let title = source.lines().next().and_then(|line| line.strip_prefix("//! ")).expect("what a source is");
+        let first = source.lines().next().expect("a line");
+        let title = first.strip_prefix("//! ").expect("a title");
         let line = "*".repeat(title.len() + 4);
         out += &format!("\n/*{line}*/\n/*  {title}  */\n/*{line}*/\n{section}");
     }
@@ -148,9 +150,8 @@ fn declares(source: &str, name: &str) -> bool {
 }
 
 fn plain_enumeration(item: &str) -> String {
-    let Some((comment, code)) =
-        item.split_once("enum zs_").filter(|(comment, _)| comment.lines().all(|l| l.starts_with("//")))
-    else {
+    let is_comment = |text: &str| text.lines().all(|line| line.starts_with("//"));
+    let Some((comment, code)) = item.split_once("enum zs_").filter(|(before, _)| is_comment(before)) else {
         return item.to_owned();
     };
     let (name, rest) = code.split_once('\n').expect("its body");

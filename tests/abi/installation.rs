@@ -1,5 +1,3 @@
-//! The library as installed by `tools/install.sh`.
-
 use crate::header::root;
 use std::{
     path::{Path, PathBuf},

@@ -1,5 +1,3 @@
-//! Sizes, offsets and values match C.
-
 use crate::{
     header::{enumerations, root},
     installation::{Linking, installation, runner, success},
@@ -7,7 +5,6 @@ use crate::{
 use std::{fmt::Write, mem::offset_of};
 use zipsplat_c::*;
 
-/// In C.
 macro_rules! layout {
     ($($name:ident { $($field:ident),* })*) => {
         vec![$(
@@ -127,7 +124,8 @@ fn is_what_c_sees() {
 #[test]
 fn nothing_was_left_out() {
     let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
-    let code: Vec<&str> = header.lines().map(str::trim).filter(|line| !line.starts_with("//")).collect();
+    let lines = header.lines().map(str::trim);
+    let code: Vec<&str> = lines.filter(|line| !line.starts_with("//")).collect();
     let structures = structures();
     let fields = structures.iter().filter(|(name, _)| name.starts_with("offsetof")).count();
     let bodies = code.join("\n");

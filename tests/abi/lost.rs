@@ -1,5 +1,3 @@
-//! Device loss: host memory stays readable, objects can be destroyed, and another device works.
-
 use crate::calls::*;
 use zipsplat::types::Scene;
 use zipsplat_c::{zs_status::ZS_ERROR_DEVICE_LOST, *};
@@ -40,7 +38,6 @@ fn losing_devices() {
     }
 }
 
-/// Fields drop in order: dependencies before dependents.
 #[derive(Default)]
 struct App {
     device: Option<Object<zs_device>>,
@@ -76,7 +73,6 @@ impl App {
             lost("making a renderer", try_renderer(device, scene).err());
             if let Some(renderer) = &self.renderer {
                 lost("drawing", picture(renderer).err());
-                // SAFETY: live objects.
                 lost("changing the scene", Some(unsafe { zs_renderer_set_scene(renderer.handle, scene.handle) }));
             }
         }

@@ -1,4 +1,8 @@
 //! The C ABI, from C, C++ and Python.
+//!
+//! Unless stated otherwise, `unsafe` calls are sound because handles are live or NULL, structures
+//! have their size set, strings are terminated, arrays have their stated lengths, and all of them
+//! outlive the call.
 #![allow(unsafe_code)]
 
 mod arguments;

@@ -1,5 +1,3 @@
-//! Photos and scenes from and to memory; error messages.
-
 use crate::{
     calls::*,
     installation::{Linking, installation, runner, success},
@@ -20,14 +18,12 @@ use zipsplat_tests::{
 fn a_message_stays_where_it_is() {
     let open = |path: &str| {
         let path = c_string(path);
-        // SAFETY: a string, an output pointer.
         unsafe { zs_scene_open(path.as_ptr(), null(), &mut null_mut()) }
     };
     let before = zs_last_error();
     fails(open("first.ply"), ZS_ERROR_IO, &["first.ply"]);
     fails(open(&format!("second{}", "-".repeat(200))), ZS_ERROR_IO, &["second"]);
     assert_eq!(before, zs_last_error());
-    // SAFETY: a message of this thread.
     let text = || unsafe { CStr::from_ptr(before) }.to_str().expect("UTF-8").to_owned();
     assert!(text().contains("second"), "{}", text());
     scene_of(&random_scene(3, 0, 0.1));
@@ -65,7 +61,6 @@ fn from_memory(bytes: &[u8], format: Option<&str>, drop_invalid: u32) -> Result<
     let format = format.as_ref().map_or(null(), |format| format.as_ptr());
     let options = zs_scene_open_options { drop_invalid, format, ..Versioned::new() };
     let (data, size) = (bytes.as_ptr().cast(), bytes.len());
-    // SAFETY: bytes of that length, options, and an output pointer.
     Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_from_memory(data, size, &options, out) })
 }
 
@@ -76,30 +71,23 @@ fn scenes_go_to_memory_and_come_back() {
     let folder = tempfile::tempdir().expect("a folder");
     for extension in scene_extensions() {
         let format = c_string(extension);
-        let encode = |out| {
-            // SAFETY: a live scene, a string, an output pointer.
-            unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) }
-        };
+        let encode = |out| unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) };
         let object = Object::new(zs_blob_destroy, encode);
         let (mut data, mut size): (*const c_void, usize) = (null(), 0);
-        // SAFETY: a live object and output pointers; the bytes live as long as the object.
         let bytes = unsafe {
             ok(zs_blob_get(object.handle, &mut data, &mut size));
             std::slice::from_raw_parts(data.cast::<u8>(), size)
         };
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().expect("UTF-8"));
-        // SAFETY: a live scene, a string.
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
         assert!(std::fs::read(&path).expect("it was written") == bytes, "{extension}");
         let back = read(&made(from_memory(bytes, Some(extension), 0)));
         assert_same(extension, back.means.as_flattened(), Scene::open(&path).expect("a scene").means.as_flattened());
     }
     let format = c_string("obj");
-    let mut bytes = null_mut();
-    // SAFETY: a live scene, a string, an output pointer.
-    let refused = unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), &mut bytes) };
-    fails(refused, ZS_ERROR_ARGUMENT, &["format", "obj", ".spz"]);
+    let encode = |out| unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) };
+    refused(Object::try_new(zs_blob_destroy, encode), ZS_ERROR_ARGUMENT, &["format", "obj", ".spz"]);
 }
 
 #[test]
@@ -120,7 +108,6 @@ fn scenes_in_memory_are_told_apart_and_checked() {
     assert!(message().contains("scene in memory") && message().contains("1 of 4"), "{}", message());
     let scene = made(from_memory(&bytes, Some(".SPLAT"), 1));
     let mut info = zs_scene_info::new();
-    // SAFETY: a live scene and a structure of its size.
     ok(unsafe { zs_scene_get_info(scene.handle, &mut info) });
     assert_eq!((info.dropped_count, read(&scene).means), (1, vec![truth.means[0], truth.means[2], truth.means[3]]));
 }
@@ -132,14 +119,12 @@ fn photos_come_from_memory() {
     photos(1)[0].save_png(&path).expect("a photo can be written");
     let bytes = std::fs::read(&path).expect("it was written");
     let decode = |bytes: &[u8]| {
-        // SAFETY: bytes of that length, an output pointer.
         Object::try_new(zs_image_buffer_destroy, |out| unsafe {
             zs_image_buffer_from_memory(bytes.as_ptr().cast(), bytes.len(), out)
         })
     };
     let photo = made(decode(&bytes));
     let mut image = zs_image { format: 0, width: 0, height: 0, pixels: null(), ..image_of(&photos(1)[0]) };
-    // SAFETY: a live photo, a structure with its size set, and pixels of the photo.
     let rgb = unsafe {
         ok(zs_image_buffer_get_image(photo.handle, &mut image));
         std::slice::from_raw_parts(image.pixels.cast::<u8>(), 3 * (image.width * image.height) as usize)

@@ -1,5 +1,3 @@
-//! An app learns which kernels its device cannot use.
-
 use crate::calls::*;
 use std::{ffi::CStr, fs};
 use zipsplat::tune::SelfTest;
@@ -17,7 +15,6 @@ fn results_are_kept_where_the_device_says() {
     let cache = tempfile::tempdir().expect("a folder");
     let folder = c_string(cache.path().to_str().expect("UTF-8"));
     let options = zs_device_options { cache_dir: folder.as_ptr(), ..Versioned::new() };
-    // SAFETY: options that outlive the call, an output pointer.
     let device = Object::new(zs_device_destroy, |out| unsafe { zs_device_create(&options, out) });
     match precision_and_notes(&device, ZS_PRECISION_FP16) {
         Ok(_) => assert_eq!(fs::read_dir(cache.path().join("self-test")).expect("results").count(), 1),
@@ -28,7 +25,6 @@ fn results_are_kept_where_the_device_says() {
 fn precision_and_notes(device: &Object<zs_device>, precision: zs_precision) -> Result<(i32, String), zs_status> {
     let model = try_model_with(device, &zs_model_options { precision: precision as i32, ..Versioned::new() })?;
     let mut info = zs_model_info::new();
-    // SAFETY: a live model and a structure with its size set; the notes belong to the model.
     let notes = unsafe {
         ok(zs_model_get_info(model.handle, &mut info));
         CStr::from_ptr(info.warnings)

@@ -5,7 +5,6 @@ use crate::calls::*;
 use std::ptr::{null, null_mut};
 use zipsplat_c::*;
 
-/// Random arguments.
 struct Random(zipsplat::random::Random);
 
 impl Random {
@@ -60,22 +59,17 @@ impl World {
     fn step(&mut self, random: &mut Random, images: &[zs_image]) {
         let call = random.below(8);
         let done = match call {
-            0 => keep(&mut self.devices, random, zs_device_destroy, |out| {
-                // SAFETY: no options, an output pointer.
-                unsafe { zs_device_create(null(), out) }
-            }),
+            0 => keep(&mut self.devices, random, zs_device_destroy, |out| unsafe { zs_device_create(null(), out) }),
             1 => self.load(random),
             2 => self.reconstruct(random, images),
             3 => {
                 let (device, scene) = (random.handle(&self.devices), random.handle(&self.scenes));
-                keep(&mut self.renderers, random, zs_renderer_destroy, |out| {
-                    // SAFETY: live objects or NULL.
-                    unsafe { zs_renderer_create(device, scene, out) }
+                keep(&mut self.renderers, random, zs_renderer_destroy, |out| unsafe {
+                    zs_renderer_create(device, scene, out)
                 })
             }
             4 => {
                 let (renderer, scene) = (random.handle(&self.renderers), random.handle(&self.scenes));
-                // SAFETY: live objects or NULL.
                 unsafe { zs_renderer_set_scene(renderer, scene) == zs_status::ZS_OK }
             }
             5 | 6 => self.draw(random),
@@ -89,15 +83,14 @@ impl World {
         let size = random.mostly(micro().len(), &[0, 1, 8, 100, micro().len() / 2, micro().len() - 1]);
         let mut bytes = micro()[..size].to_vec();
         for _ in 0..random.mostly(0, &[1, 10]) {
-            // In the header, which is mostly JSON.
+            // The header is mostly JSON.
             let at = random.below(bytes.len().clamp(1, 4000));
             if let Some(byte) = bytes.get_mut(at) {
                 *byte ^= 1 << random.below(8);
             }
         }
-        keep(&mut self.models, random, zs_model_destroy, |out| {
-            // SAFETY: a live object or NULL, bytes of that length.
-            unsafe { zs_model_from_memory(device, bytes.as_ptr().cast(), bytes.len(), null(), out) }
+        keep(&mut self.models, random, zs_model_destroy, |out| unsafe {
+            zs_model_from_memory(device, bytes.as_ptr().cast(), bytes.len(), null(), out)
         })
     }
 
@@ -121,9 +114,8 @@ impl World {
             unsafe { zs_reconstruct(model, list.as_ptr(), count, &options, out) }
         });
         let reconstruction = random.handle(&self.reconstructions);
-        let read = keep(&mut self.scenes, random, zs_scene_destroy, |out| {
-            // SAFETY: a live object or NULL.
-            unsafe { zs_reconstruction_to_scene(reconstruction, out) }
+        let read = keep(&mut self.scenes, random, zs_scene_destroy, |out| unsafe {
+            zs_reconstruction_to_scene(reconstruction, out)
         });
         made && read
     }
@@ -142,13 +134,11 @@ impl World {
         let format = random.below(5) as i32;
         options.format = random.mostly(format, &[-1, 5, i32::MIN]);
         options.background[1] = random.mostly(0.5, &[f32::NAN, f32::INFINITY, 1e38]);
-        // SAFETY: a live object or NULL, and memory for the largest of these pictures.
         let status = unsafe { zs_render(renderer, &camera, &picture, 1, &options) };
         assert_ne!(status, zs_status::ZS_ERROR_INTERNAL, "{}", message());
         status == zs_status::ZS_OK
     }
 
-    /// More rarely than objects are created.
     fn destroy_one(&mut self, random: &mut Random) -> bool {
         fn one<T>(pool: &mut Vec<Object<T>>, random: &mut Random) -> bool {
             let some = !pool.is_empty();

@@ -69,7 +69,6 @@ impl Place {
         let images: Vec<_> = self.photos.iter().map(image_of).collect();
         let (cameras, mut info) = (self.c_cameras(), zs_refine_result::new());
         let (images, cameras, count) = (images.as_ptr(), cameras.as_ptr(), images.len());
-        // SAFETY: live objects, full arrays.
         let refine = |out| unsafe {
             zs_refine_scene(device.handle, scene.handle, images, cameras, count, options, &mut info, out)
         };
@@ -182,7 +181,6 @@ fn cameras_are_optimized_and_gaussians_grow_as_in_rust() {
     let mut result = zs_refine_result { cameras: refined.as_mut_ptr(), ..Versioned::new() };
     let (images, cameras, result) = (images.as_ptr(), cameras.as_ptr(), &mut result);
     let refine =
-        // SAFETY: live objects, full arrays.
         |out| unsafe { zs_refine_scene(device.handle, scene.handle, images, cameras, 3, &options, result, out) };
     let found = Object::new(zs_scene_destroy, refine);
     assert_same("scene", &bits(&read(&found)), &bits(&expected.scene));
@@ -233,7 +231,6 @@ fn what_cannot_be_refined_is_refused() {
     let mut info = zs_refine_result { struct_size: 12, ..zs_refine_result::new() };
     argument(call(photos, poses, 2, null(), &mut info), &["zs_refine_result, struct_size"]);
     assert_eq!(info.struct_size, 12);
-    // SAFETY: every pointer may be NULL.
     let nulls = unsafe {
         let empty = scene_of(&Scene::default());
         let mut out = null_mut();
@@ -281,7 +278,6 @@ fn tokens_are_refined_as_in_rust() {
             ..Versioned::new()
         };
         let mut info = zs_refine_result::new();
-        // SAFETY: live objects, full arrays.
         let refine = |out| unsafe {
             zs_refine_reconstruction(scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
         };

@@ -1,5 +1,3 @@
-//! Results through C are bitwise equal to Rust's.
-
 use crate::calls::*;
 use glam::{DMat3, DVec3};
 use std::{ops::ControlFlow, ptr::null};
@@ -14,7 +12,7 @@ use zipsplat::{
 use zipsplat_c::*;
 use zipsplat_tests::{compare::assert_same, device::device as rust_device, scenes::scene_extensions};
 
-/// Bytes, row stride, and offset of the top row.
+/// Returns bytes, row stride, and offset of the top row.
 fn encode(photo: &Image, format: zs_pixel_format, padding: usize, bottom_up: bool) -> (Vec<u8>, i64, usize) {
     let mut rows: Vec<Vec<u8>> = Vec::new();
     for row in photo.rgb.chunks_exact(3 * photo.width as usize) {
@@ -175,7 +173,6 @@ fn pictures_are_rusts() {
             assert_same(&format!("{format:?}"), &draw(&renderer, camera, &options, bytes), &pixels(frame, format));
         }
     }
-    // One batch with alpha and depth, padded rows, bottom-up.
     let mut memory: Vec<_> = cameras
         .map(|c| {
             let count = (c.width * c.height) as usize;
@@ -194,7 +191,6 @@ fn pictures_are_rusts() {
         })
         .collect();
     let options = zs_render_options { background, ..render_options(zs_pixel_format::ZS_PIXEL_RGB8) };
-    // SAFETY: live objects and memory of the pictures' size.
     ok(unsafe { zs_render(renderer.handle, cameras.as_ptr(), pictures.as_ptr(), 3, &options) });
     for ((camera, frame), (found, alpha, depth)) in cameras.iter().zip(&frames).zip(&memory) {
         let row = 3 * camera.width as usize;
@@ -213,16 +209,13 @@ fn scenes_come_back_from_arrays_and_files() {
     let scene = reconstruct(&model(&device), &[image_of(&photos[0])], &reconstruct_options());
     let gaussians = read(&scene);
     let array = arrays(&gaussians);
-    // SAFETY: full arrays, an output pointer.
     let copy = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
     assert_same("copied", &bits(&read(&copy)), &bits(&gaussians));
     let folder = tempfile::tempdir().unwrap();
     for extension in scene_extensions() {
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().unwrap());
-        // SAFETY: a live scene, a string.
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
-        // SAFETY: a string, an output pointer.
         let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), null(), out) });
         assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::Scene::open(&path).unwrap()));
     }
@@ -238,14 +231,11 @@ fn gaussians_that_are_no_numbers_are_dropped_and_counted() {
     };
     std::fs::write(&path, [row(1.0), row(f32::NAN), row(2.0), row(f32::INFINITY)].concat()).unwrap();
     let text = c_string(path.to_str().unwrap());
-    let mut scene = std::ptr::null_mut();
-    // SAFETY: a string, an output pointer.
-    let refused = unsafe { zs_scene_open(text.as_ptr(), null(), &mut scene) };
-    fails(refused, zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
+    let open = |out| unsafe { zs_scene_open(text.as_ptr(), null(), out) };
+    refused(Object::try_new(zs_scene_destroy, open), zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
     let scene = made(open_scene(&path, &zs_scene_open_options { drop_invalid: 1, ..Versioned::new() }));
     assert_eq!(read(&scene).means, [[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]);
     let mut info = zs_scene_info::new();
-    // SAFETY: a live scene and a structure of its size.
     ok(unsafe { zs_scene_get_info(scene.handle, &mut info) });
     assert_eq!((info.dropped_count, info.gaussian_count, info.world), (2, 2, zs_world::ZS_WORLD_AUTO as i32));
 }
@@ -265,29 +255,14 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
         (zs_precision::ZS_PRECISION_BF16, has(Precision::Bf16)),
         (zs_precision::ZS_PRECISION_INT8, has(Precision::Int8)),
     ] {
-        // SAFETY: live objects; bytes of that length.
-        let (status, model) = unsafe {
-            let options = zs_model_options { precision: asked as i32, ..Versioned::new() };
-            let mut model = std::ptr::null_mut();
-            let (bytes, size) = (micro().as_ptr().cast(), micro().len());
-            (zs_model_from_memory(device.handle, bytes, size, &options, &mut model), model)
-        };
+        let model = try_model_with(&device, &zs_model_options { precision: asked as i32, ..Versioned::new() });
         let Some(expected) = expected else {
-            assert!(status == zs_status::ZS_ERROR_ARGUMENT && model.is_null(), "{asked:?}");
+            assert_eq!(model.err(), Some(zs_status::ZS_ERROR_ARGUMENT), "{asked:?}");
             continue;
         };
-        ok(status);
-        let model = Object::new(zs_model_destroy, |out: *mut *mut zs_model| {
-            // SAFETY: the caller's pointer.
-            unsafe { *out = model };
-            zs_status::ZS_OK
-        });
-        // SAFETY: a live object, a structure with its size set.
-        let info = unsafe {
-            let mut info = zs_model_info::new();
-            ok(zs_model_get_info(model.handle, &mut info));
-            info
-        };
+        let model = made(model);
+        let mut info = zs_model_info::new();
+        ok(unsafe { zs_model_get_info(model.handle, &mut info) });
         let code = if asked == zs_precision::ZS_PRECISION_AUTO { 1 + best as i32 } else { asked as i32 };
         assert_eq!(info.precision, code, "{asked:?}");
         let arithmetic = KernelChoice::of(rust_device(), Some(expected)).expect("the device has it").arithmetic;
@@ -314,8 +289,7 @@ fn weights_of_8_bits_come_from_memory() {
     assert_same("q8", &bits(&read(&from_c)), &bits(&ours));
     if Arithmetic::of(Precision::Int8, rust_device().limits()).is_some() {
         let int8 = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };
-        let refused = model_from(&device, &bytes, &int8).err().expect("no int8 for such weights");
-        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fp16"]);
+        refused(model_from(&device, &bytes, &int8), zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fp16"]);
     }
 }
 
@@ -328,23 +302,19 @@ fn reconstructions_and_updated_arrays_are_drawn_as_their_scenes() {
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGB_F32);
     let picture = |renderer: &Object<zs_renderer>| draw(renderer, &camera(40, 30, 0.1), &options, 12);
     let expected = picture(&renderer(&device, &scene));
-    // SAFETY: a live device, no scene, an output pointer.
     let other = Object::new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(device.handle, null(), out) });
     let status = try_draw(&other, &camera(40, 30, 0.1), &options, 12).expect_err("there is no scene");
     fails(status, zs_status::ZS_ERROR_ARGUMENT, &["scene"]);
-    // SAFETY: live objects.
     ok(unsafe { zs_renderer_set_reconstruction(other.handle, reconstruction.handle) });
     assert_same("reconstruction", &picture(&other), &expected);
     let mut gaussians = read(&scene);
     for step in 0..3 {
         gaussians.means.iter_mut().for_each(|mean| mean[0] += 0.01);
-        // SAFETY: a live renderer and full arrays.
         ok(unsafe { zs_renderer_update_gaussians(other.handle, &arrays(&gaussians)) });
         let expected = picture(&renderer(&device, &scene_of(&gaussians)));
         assert_same(&format!("step {step}"), &picture(&other), &expected);
     }
     gaussians.opacities[0] = f32::NAN;
-    // SAFETY: as above.
     let status = unsafe { zs_renderer_update_gaussians(other.handle, &arrays(&gaussians)) };
     fails(status, zs_status::ZS_ERROR_ARGUMENT, &["opacities"]);
 }
@@ -357,7 +327,6 @@ fn normals_and_point_scenes_are_rusts() {
     let view = camera(24, 16, 0.0);
     let from_points = |count, colors, cameras: &[zs_camera]| {
         let (positions, cameras, len) = (positions.as_ptr().cast(), cameras.as_ptr(), cameras.len());
-        // SAFETY: full arrays, an output pointer.
         Object::try_new(zs_scene_destroy, |out| unsafe {
             zs_scene_from_points(positions, colors, count, cameras, len, out)
         })
@@ -374,7 +343,6 @@ fn normals_and_point_scenes_are_rusts() {
     }
     let mut normals = vec![7.0; 3 * 24 * 16];
     let buffers = zs_render_buffers { normals: normals.as_mut_ptr(), ..Versioned::new() };
-    // SAFETY: live objects, and memory of the camera's size.
     ok(unsafe { zs_render(renderer(&device, &scene).handle, &view, &buffers, 1, null()) });
     let options = RenderOptions { rgb: false, normals: true, ..RenderOptions::default() };
     let truth = Renderer::new(rust_device()).render_scene(&expected, &[rust_camera(&view)], &options).unwrap();

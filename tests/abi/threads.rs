@@ -1,5 +1,3 @@
-//! Results are bitwise independent of threads.
-
 use crate::calls::*;
 use std::thread;
 use zipsplat_c::*;
@@ -55,7 +53,6 @@ fn threads_share_a_renderer_and_a_context() {
 
 #[test]
 fn messages_belong_to_their_threads() {
-    // SAFETY: NULL is rejected.
     let fail = || unsafe { zs_device_count(std::ptr::null_mut()) };
     assert_eq!(fail(), zs_status::ZS_ERROR_ARGUMENT);
     assert!(message().starts_with("count"));

@@ -23,7 +23,6 @@ fn batch(folder: &Folder, line: &str) -> Outcome {
     folder.run(&format!("--json reconstruct --each {WEIGHTS} {line}"))
 }
 
-/// Made, existing, failed and remaining.
 fn numbers(outcome: Outcome) -> [u64; 4] {
     let envelope: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
     let report = &envelope["result"];

@@ -1,5 +1,3 @@
-//! Cancellation.
-
 use crate::{Folder, Outcome, command, names};
 use std::{
     fs::File,

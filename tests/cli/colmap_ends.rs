@@ -1,4 +1,3 @@
-//! COLMAP processes end with the command.
 #![cfg(unix)]
 
 use crate::{

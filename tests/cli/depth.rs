@@ -1,5 +1,3 @@
-//! Depth with random weights.
-
 use crate::Folder;
 use zipsplat::types::{
     Image,

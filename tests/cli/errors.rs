@@ -1,5 +1,3 @@
-//! Invalid input: one error that names it, its exit code, no file.
-
 use crate::{Folder, zipsplat};
 use zipsplat::types::poses::write_transforms;
 use zipsplat_tests::scenes;

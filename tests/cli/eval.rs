@@ -89,16 +89,12 @@ fn the_unit_of_the_cameras_does_not_matter() {
     let mean = |line: &str| folder.run(line).json()["mean"]["psnr"].as_f64().expect("a number");
     let before = mean(line);
     // At an eighth of the scale.
-    let path = folder.path("place/transforms.json");
-    let text = std::fs::read_to_string(&path).expect("cameras");
-    let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
-    for frame in cameras["frames"].as_array_mut().expect("frames") {
+    folder.edit_frames("place/transforms.json", |frame| {
         for row in 0..3 {
             let moved = 8.0 * frame["transform_matrix"][row][3].as_f64().expect("a number");
             frame["transform_matrix"][row][3] = moved.into();
         }
-    }
-    std::fs::write(&path, cameras.to_string()).expect("written");
+    });
     let points = folder.path("place/points.ply");
     let cloud = zipsplat::types::read_points(&points).expect("points").positions;
     let scaled: Vec<_> = cloud.iter().map(|point| (point.map(|value| 8.0 * value), [0; 3])).collect();

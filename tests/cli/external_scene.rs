@@ -134,7 +134,6 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     let folder = Folder::new();
     folder.run("scene --seed 9 --views 8 --size 84x56 --splats -o @/place").success();
     let line = "eval @/place --views 4 --lpips none --from-depth @/place/depth";
-    // At full photo size.
     let json = folder.run(&format!("{line} --input-size 84x56 -o @/out --json")).json();
     let names: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
     let splats = read_ply(folder.path("place/splats.ply")).expect("a scene");

@@ -8,12 +8,9 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 
-/// Fault of the storage for one request.
 #[derive(Clone, Copy, Debug)]
 pub enum Act {
-    /// Closes the connection after this many bytes.
     Cut(usize),
-    /// After this many bytes.
     Stall(usize),
     /// As [`Act::Cut`]; the hub's file changes.
     Swap(usize),

@@ -28,7 +28,6 @@ mod view;
 mod weights;
 
 use std::{
-    ffi::OsString,
     ops::ControlFlow::Continue,
     path::{Path, PathBuf},
     sync::atomic::AtomicBool,
@@ -38,8 +37,7 @@ use zipsplat::{
     types::{Image, poses::Capture, write_ply},
     weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
-use zipsplat_cli::{Terminal, run};
-use zipsplat_tests::{architectures, scenes};
+use zipsplat_tests::{architectures, command::run as raw_command, scenes};
 
 #[derive(Debug)]
 struct Outcome {
@@ -87,14 +85,6 @@ fn zipsplat(line: &str) -> Outcome {
 fn command(line: &str, cancelled: &AtomicBool) -> Outcome {
     let (code, out, err) = raw_command(line, cancelled);
     Outcome { code, out: String::from_utf8(out).expect("results are text"), err }
-}
-
-/// Exit code, standard output and errors.
-fn raw_command(line: &str, cancelled: &AtomicBool) -> (u8, Vec<u8>, String) {
-    let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
-    let (mut out, mut err) = (Vec::new(), Vec::new());
-    let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled });
-    (code, out, String::from_utf8(err).expect("errors are text"))
 }
 
 /// `photos/1.png`, `photos/10.png` and a small network's weights.
@@ -163,6 +153,13 @@ impl Folder {
     #[track_caller]
     fn remove(&self, name: &str) {
         std::fs::remove_file(self.path(name)).expect(name);
+    }
+
+    #[track_caller]
+    fn edit_frames(&self, name: &str, mut edit: impl FnMut(&mut serde_json::Value)) {
+        let mut cameras: serde_json::Value = serde_json::from_str(&self.text(name)).expect("JSON");
+        cameras["frames"].as_array_mut().expect("frames").iter_mut().for_each(&mut edit);
+        self.write(name, cameras.to_string());
     }
 
     #[track_caller]

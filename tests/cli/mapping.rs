@@ -1,4 +1,3 @@
-//! Retries of the mapper.
 #![cfg(unix)]
 
 use crate::{

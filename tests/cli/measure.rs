@@ -1,4 +1,4 @@
-//! `zipsplat bench`. No test asserts a time.
+//! No test asserts a time.
 
 use crate::Folder;
 use serde_json::Value;

@@ -1,5 +1,3 @@
-//! Overwriting: commands replace their own files, others only on request.
-
 use crate::{Folder, names};
 use zipsplat::types::{Image, Scene, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;

@@ -1,5 +1,3 @@
-//! Estimated cameras from a scene: `reconstruct --cameras-out` without `--cameras`.
-
 use crate::Folder;
 use zipsplat::types::Image;
 

@@ -4,6 +4,14 @@ use zipsplat::types::{Camera, Intrinsics, Pose, Scene, poses::write_transforms, 
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::{photos::with_orientation, scenes::scene_extensions};
 
+/// Also cameras of both photos in `c.json`.
+fn with_cameras() -> Folder {
+    let folder = Folder::new();
+    let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
+    write_transforms(folder.path("c.json"), &cameras, &["1.png", "10.png"]).expect("cameras can be written");
+    folder
+}
+
 #[test]
 fn two_photos_become_a_scene() {
     let folder = Folder::new();
@@ -143,9 +151,7 @@ fn some_of_many_photos_are_spread() {
 
 #[test]
 fn cropping_much_is_said() {
-    let folder = Folder::new();
-    let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
-    write_transforms(folder.path("c.json"), &cameras, &["1.png", "10.png"]).expect("cameras can be written");
+    let folder = with_cameras();
     let run = |options: &str| {
         let outcome = folder.run(&format!("reconstruct @/photos --weights seeded:vits {options} -o @/s.ply"));
         let notes = outcome.err.lines().filter(|line| line.contains("cropped")).collect::<String>();
@@ -173,9 +179,7 @@ fn another_size_than_the_trained_one_is_said() {
 
 #[test]
 fn squares_show_whole_photos() {
-    let folder = Folder::new();
-    let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
-    write_transforms(folder.path("c.json"), &cameras, &["1.png", "10.png"]).expect("cameras can be written");
+    let folder = with_cameras();
     let line = "reconstruct @/photos --weights @/micro.safetensors --crop tiles -o @/s.ply";
     let outcome = folder.run(&format!("{line} --input-size 28x28 --cameras @/c.json --json"));
     assert!(outcome.err.contains("2 photos as 4 squares of 28x28"), "{}", outcome.err);
@@ -266,9 +270,7 @@ fn photos_without_cameras_are_left_out_and_named() {
 
 #[test]
 fn cameras_are_poses() {
-    let folder = Folder::new();
-    let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
-    write_transforms(folder.path("c.json"), &cameras, &["1.png", "10.png"]).expect("cameras can be written");
+    let folder = with_cameras();
     let scene = |option: &str| {
         folder
             .run(&format!("reconstruct @/photos --weights seeded:vits --input-size 14x14 {option} -o @/s.ply"))

@@ -1,5 +1,3 @@
-//! `zipsplat refine`, and `zipsplat eval --refine`.
-
 use crate::{Folder, command};
 use std::sync::atomic::AtomicBool;
 use zipsplat::types::{Origin, Scene, World, read_world};

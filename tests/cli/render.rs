@@ -126,14 +126,10 @@ fn cameras_count_from_a_photo_and_fit_a_size() {
 fn a_scene_finds_its_cameras_in_their_own_file() {
     let folder = folder();
     folder.run("scene --seed 4 --views 3 --size 28x28 -o @/place").success();
-    let path = folder.path("place/transforms.json");
-    let text = std::fs::read_to_string(&path).expect("cameras");
-    let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
-    for frame in cameras["frames"].as_array_mut().expect("frames") {
+    folder.edit_frames("place/transforms.json", |frame| {
         let x = frame["transform_matrix"][0][3].as_f64().expect("a number");
         frame["transform_matrix"][0][3] = (x + 1000.0).into();
-    }
-    std::fs::write(&path, cameras.to_string()).expect("written");
+    });
     folder.run("reconstruct @/place/images --cameras @/place --scene-scale 1 -o @/posed.ply").success();
     let found = folder.run("render @/posed.ply --cameras @/place -o @/found");
     assert_eq!(found.err, "", "the world needs no note");
@@ -152,7 +148,7 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     assert!(lost.err.contains("but the background") && lost.err.contains("--relative-to PHOTO"), "{}", lost.err);
     lost.success();
     assert!(!says_empty(&folder, "render @/posed.splat --cameras @/place --relative-to 000.png -o @/again"));
-    let text = std::fs::read_to_string(&path).expect("cameras").replace("000.png", "zero.png");
+    let text = folder.text("place/transforms.json").replace("000.png", "zero.png");
     folder.write("other.json", text);
     let other = folder.run("render @/posed.ply --cameras @/other.json -o @/other");
     assert!(

@@ -1,5 +1,3 @@
-//! Browser pages and their server.
-
 use crate::{Folder, Outcome, command};
 use base64::{Engine, prelude::BASE64_STANDARD};
 use sha2::{Digest, Sha256};
@@ -202,7 +200,8 @@ pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
         }
         // A failing test would otherwise wait for the server.
         let ended = Ended(&cancelled);
-        let address = text.lines().next().expect("a line").strip_prefix("http://127.0.0.1:").expect("this machine");
+        let address = text.lines().next().expect("a line");
+        let address = address.strip_prefix("http://127.0.0.1:").expect("this machine");
         let (port, path) = address.split_at(address.find('/').expect("a path"));
         test(port, path);
         drop(ended);
@@ -290,9 +289,8 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         for other in ["scene/1", "photo/2", "scene/../../../etc/passwd", "other", "scene/"] {
             assert_eq!(get(&format!("{path}{other}"), "").0, 404, "{other}");
         }
-        for origin in
-            ["http://example.org", "null", "https://127.0.0.1", &format!("http://127.0.0.1:{port}.example.org")]
-        {
+        let subdomain = format!("http://127.0.0.1:{port}.example.org");
+        for origin in ["http://example.org", "null", "https://127.0.0.1", &subdomain] {
             assert_eq!(get(path, &format!("\r\nOrigin: {origin}")).0, 403, "{origin}");
         }
         for host in

@@ -1,5 +1,3 @@
-//! `zipsplat weights`, against a local hub.
-
 use crate::{
     Folder, Outcome, command,
     host::{Act, Host, sha256},
@@ -38,8 +36,8 @@ struct Place {
 impl Place {
     fn new(host: &Host) -> Self {
         let folder = Folder::new();
-        let environment =
-            vec![("HF_ENDPOINT", format!("http://127.0.0.1:{}/", host.port)), ("HF_TOKEN", "secret".into())];
+        let hub = format!("http://127.0.0.1:{}/", host.port);
+        let environment = vec![("HF_ENDPOINT", hub), ("HF_TOKEN", "secret".into())];
         Self { folder, environment }
     }
 

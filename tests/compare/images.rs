@@ -41,24 +41,18 @@ impl ImageTolerance {
     }
 }
 
-/// Row-major, interleaved picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Picture<'a, T> {
     /// `[height, width, channels]`.
     pub values: &'a [T],
-    /// Width in pixels.
     pub width: usize,
     /// 1 (alpha, depth) or 3 (RGB).
     pub channels: usize,
 }
 
-/// Asserts that a picture matches the truth; returns the PSNR in dB of the compared pixels.
+/// Returns the PSNR in dB of the compared pixels; failures save the pictures and the difference.
 ///
 /// Nonzero `unstable` pixels (`&[]` for none) only need to be finite.
-///
-/// # Panics
-/// If sizes differ, a value is not finite, or the deviation is larger. Saves the pictures and the
-/// difference.
 #[track_caller]
 pub fn assert_images_close<G: Float, T: Float>(
     name: &str,

@@ -1,4 +1,5 @@
-//! Comparison with truth. Deviations are relative to the rms of the truth. NaN and infinity fail.
+//! Comparison with truth. Deviations are relative to the rms of the truth. NaN, infinity and
+//! different lengths fail.
 
 mod images;
 
@@ -9,11 +10,9 @@ use crate::golden::Golden;
 pub use images::{ImageTolerance, Picture, assert_images_close};
 pub use zipsplat_verify::Tolerance;
 
-/// Float convertible to f64.
 pub trait Float: Copy + Into<f64> {}
 impl<T: Copy + Into<f64>> Float for T {}
 
-/// Deviation between two arrays.
 #[derive(Clone, Copy, Debug)]
 pub struct Deviation {
     /// Maximum of |got - truth| over the rms of the truth.
@@ -27,7 +26,6 @@ pub struct Deviation {
 }
 
 impl Deviation {
-    /// Fails for different lengths or non-finite values.
     pub fn measure(got: &[impl Float], truth: &[impl Float]) -> Result<Deviation, String> {
         if got.len() != truth.len() {
             return Err(format!("{} values, truth has {}", got.len(), truth.len()));
@@ -67,10 +65,6 @@ impl fmt::Display for Deviation {
     }
 }
 
-/// Asserts that `got` matches `truth`; returns the deviation.
-///
-/// # Panics
-/// If the lengths differ, a value is not finite, or the deviation is larger.
 #[track_caller]
 pub fn assert_close(name: &str, got: &[impl Float], truth: &[impl Float], tolerance: Tolerance) -> Deviation {
     match Deviation::measure(got, truth) {
@@ -80,10 +74,6 @@ pub fn assert_close(name: &str, got: &[impl Float], truth: &[impl Float], tolera
     }
 }
 
-/// Asserts equal integers.
-///
-/// # Panics
-/// If lengths or values differ.
 #[track_caller]
 pub fn assert_same<G, T>(name: &str, got: &[G], truth: &[T])
 where
@@ -97,10 +87,7 @@ where
     }
 }
 
-/// Asserts that a network tap, the full tensor, matches the golden or its `@sub` and `@sum`.
-///
-/// # Panics
-/// As [`assert_close`].
+/// Takes the full tensor; the golden has it, or its `@sub` and `@sum`.
 #[track_caller]
 pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], tolerance: Tolerance) -> Deviation {
     let name = format!("{} {key}", golden.file());
@@ -142,16 +129,13 @@ fn assert_sums(name: &str, got: &[impl Float], truth: &[f64], tolerance: Toleran
 const GAUSSIAN_FIELDS: [(&str, usize, usize); 4] =
     [("means", 0, 3), ("scales", 3, 6), ("quats", 6, 10), ("opacities", 10, 11)];
 
-/// Asserts packed Gaussians `[n, width]`, each field relative to its own rms.
-///
-/// # Panics
-/// As [`assert_close`].
+/// Packed Gaussians are `[n, width]`, each field relative to its own rms.
 #[track_caller]
 pub fn assert_gaussians_close(name: &str, got: &[impl Float], truth: &[impl Float], width: usize) {
     assert_gaussians_within(name, got, truth, width, Tolerance::of_field);
 }
 
-/// Acts as [`assert_gaussians_close`] with tolerances by field name.
+/// Tolerances are by field name.
 #[track_caller]
 pub fn assert_gaussians_within(
     name: &str,
@@ -167,7 +151,7 @@ pub fn assert_gaussians_within(
     }
 }
 
-/// Returns columns `start..end` of rows of `width` in f64.
+/// Columns `start..end` of rows of `width`.
 pub fn columns(rows: &[impl Float], width: usize, start: usize, end: usize) -> Vec<f64> {
     rows.chunks(width).flat_map(|row| row[start..end].iter().map(|&x| x.into())).collect()
 }
@@ -178,9 +162,6 @@ const TIE: f64 = 1e-4;
 /// Asserts each centroid's nearest token, or the second nearest in a tie.
 ///
 /// `top2 [K, 2]` and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
-///
-/// # Panics
-/// If lengths differ or an index is neither.
 #[track_caller]
 pub fn assert_nearest(name: &str, got: &[u32], top2: &[i64], gap: &[f32]) {
     assert_eq!((got.len() * 2, got.len()), (top2.len(), gap.len()), "{name}: number of clusters");
@@ -198,9 +179,6 @@ pub fn assert_nearest(name: &str, got: &[u32], top2: &[i64], gap: &[f32]) {
 
 /// Asserts that representatives are as near to `centroids [K, width]` as any of `tokens [N,
 /// width]`.
-///
-/// # Panics
-/// If lengths differ, an index is out of range, or another token is nearer.
 #[track_caller]
 pub fn assert_as_near(name: &str, got: &[u32], centroids: &[impl Float], tokens: &[impl Float], width: usize) {
     assert_eq!(got.len() * width, centroids.len(), "{name}: number of clusters");

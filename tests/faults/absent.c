@@ -81,12 +81,13 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkGetQueryPoolResults(VkDevice d, VkQu
   return VK_SUCCESS;
 }
 
-#define CREATE(KIND)                                                                                                        \
-  static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreate##KIND(VkDevice d, const Vk##KIND##CreateInfo *info,                    \
-                                                           const VkAllocationCallbacks *a, Vk##KIND *made) {                \
-    (void)d, (void)info, (void)a;                                                                                           \
-    *made = (Vk##KIND)1;                                                                                                    \
-    return VK_SUCCESS;                                                                                                      \
+#define CREATE(KIND)                                                                            \
+  static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreate##KIND(                                     \
+      VkDevice d, const Vk##KIND##CreateInfo *info, const VkAllocationCallbacks *a,             \
+      Vk##KIND *made) {                                                                         \
+    (void)d, (void)info, (void)a;                                                               \
+    *made = (Vk##KIND)1;                                                                        \
+    return VK_SUCCESS;                                                                          \
   }
 CREATE(Semaphore) CREATE(Fence) CREATE(QueryPool)
 

@@ -8,11 +8,8 @@ const LAYER: &str = "VK_LAYER_ZIPSPLAT_faults";
 
 const FAULTS: &str = "ZIPSPLAT_FAULTS";
 
-/// `VK_ERROR_OUT_OF_HOST_MEMORY`.
 pub const OUT_OF_HOST_MEMORY: i32 = -1;
-/// `VK_ERROR_OUT_OF_DEVICE_MEMORY`.
 pub const OUT_OF_DEVICE_MEMORY: i32 = -2;
-/// `VK_ERROR_DEVICE_LOST`.
 pub const DEVICE_LOST: i32 = -4;
 
 /// Runs an ignored test in a process under the layer, under silent validation.
@@ -26,7 +23,6 @@ pub fn assert_survives(name: &str) {
     let printing =
         "khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG\nkhronos_validation.log_filename = stdout\n";
     std::fs::write(at("settings.txt"), settings + printing).unwrap();
-    // Longer is a hang.
     let mut command = child(name, work.path(), "set -- timeout --kill-after=5 600 \"$@\"");
     let layers = match std::env::var("VK_LAYER_PATH") {
         Ok(path) => ("VK_LAYER_PATH", format!("{path}:{}", own.path().display())),
@@ -63,8 +59,6 @@ fn build_layer(folder: &TempDir) {
 pub struct Faults(PathBuf);
 
 impl Faults {
-    /// Returns the faults of this process's layer.
-    ///
     /// # Panics
     /// Outside a process of [`assert_survives`].
     pub fn inherited() -> Self {

@@ -25,7 +25,6 @@ fn stored(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// Reads a scene in the format of `extension`.
 pub fn scene(extension: &str, bytes: &[u8]) {
     let path = stored(&format!("scene.{extension}"), bytes);
     if let Ok(scene) = Scene::open(&path) {
@@ -48,12 +47,10 @@ fn sound(poses: zipsplat::Result<Capture>) {
     }
 }
 
-/// Reads a `transforms.json`.
 pub fn transforms(bytes: &[u8]) {
     sound(Capture::open(stored("transforms.json", bytes)));
 }
 
-/// Reads a camera path or a list of matrices.
 pub fn camera_path(bytes: &[u8]) {
     let lens = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
     sound(Capture::open_cameras(stored("cameras.json", bytes), &lens));
@@ -71,14 +68,12 @@ pub fn colmap(extension: &str, bytes: &[u8]) {
     sound(Capture::open(path));
 }
 
-/// Reads a capture's points from a file of this name.
 pub fn points(name: &str, bytes: &[u8]) {
     for point in read_cloud(stored(name, bytes)).unwrap_or_default().positions {
         assert!(point.iter().all(|x| x.is_finite()), "what is read is finite");
     }
 }
 
-/// Reads a checkpoint of any kind.
 pub fn checkpoint(bytes: &[u8]) {
     for variant in [None, Some("vits")] {
         let Ok(weights) = Checkpoint::from_bytes("fuzzed", bytes.to_vec(), variant) else { continue };
@@ -90,7 +85,6 @@ pub fn checkpoint(bytes: &[u8]) {
     }
 }
 
-/// Wraps a pickle in the archive of `torch.save`.
 pub fn archive(pickle: &[u8]) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in [("data.pkl", pickle), ("data/0", &[0; 4096])] {
@@ -100,7 +94,6 @@ pub fn archive(pickle: &[u8]) -> Vec<u8> {
     zip.finish().expect("memory").into_inner()
 }
 
-/// Decodes a photo.
 pub fn photo(bytes: &[u8]) {
     let path = stored("photo", bytes);
     let size = Image::size(&path);

@@ -47,12 +47,8 @@ fn the_scale_of_the_world_cancels() {
         let frame = render(&scene, &[camera], &ALL).remove(0);
         // Powers of two are exact.
         for scale in [0.25f32, 4.0, 1024.0] {
-            let scaled = |v: &[f32; 3]| v.map(|x| scale * x);
-            let other = Scene {
-                means: scene.means.iter().map(scaled).collect(),
-                scales: scene.scales.iter().map(scaled).collect(),
-                ..scene.clone()
-            };
+            let mut other = scene.clone();
+            other.scale(scale);
             let mut there = camera;
             there.pose.translation *= f64::from(scale);
             let got = render(&other, &[there], &ALL).remove(0);
@@ -71,12 +67,8 @@ fn the_scale_of_the_world_cancels() {
 fn tiny_worlds_are_drawn() {
     let (scene, camera) = (random_scene(1_500, 0, 0.1), camera(64, 64));
     let frame = render(&scene, &[camera], &RenderOptions::default()).remove(0);
-    let scaled = |v: &[f32; 3]| v.map(|x| x * 2.0f32.powi(-14));
-    let tiny = Scene {
-        means: scene.means.iter().map(scaled).collect(),
-        scales: scene.scales.iter().map(scaled).collect(),
-        ..scene.clone()
-    };
+    let mut tiny = scene.clone();
+    tiny.scale(2.0f32.powi(-14));
     let drawn = render(&tiny, &[camera], &RenderOptions::default()).remove(0);
     assert_eq!(drawn.rgb, frame.rgb);
     let fixed = RenderOptions { near: Some(0.01), ..RenderOptions::default() };

@@ -162,7 +162,6 @@ fn a_group_count_beyond_the_device_is_refused() {
     assert!(matches!(&error, Error::Argument { what, .. } if what.contains("ops/add")), "{error}");
 }
 
-/// Returns the arena map of a forward pass of the micro network.
 fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, u64) {
     let network = Network::new(&architectures::golden("micro"), limits, Arithmetic::EXACT);
     let grid = ViewGrid { views, rows: 4, columns: 5, patch_size: 14 };

@@ -1,27 +1,22 @@
-//! Plans under test, and the device's kernels.
-
 use zipsplat::ops::{Lanes, LinearKernel, NearestKernel, Tiles, Units, Weights};
 pub use zipsplat_tests::prelude::*;
 use zipsplat_verify::Trial;
 
-/// Returns an empty plan on the tests' device.
 pub fn plan() -> Trial<'static> {
     Trial::new(device())
 }
 
-/// Returns an empty plan for narrower limits than the device's.
 pub fn plan_within(limits: &Limits) -> Trial<'static> {
     Trial::within(device(), limits)
 }
 
-/// Returns the device's element types.
 pub fn elements() -> Vec<Element> {
     let half = device().limits().half_storage.then_some(Element::HALVES);
     [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
-/// Returns the device's linear kernels with weights in the factors' type, on lanes both by rule and
-/// with the first tile in shared memory.
+/// Linear kernels with weights in the factors' type, on lanes both by rule and with the first tile
+/// in shared memory.
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let lanes = |element| [Lanes::of(element), Lanes { element, tiles: Tiles::always(1) }];
     let panels = elements().into_iter().flat_map(lanes).map(|lanes| LinearKernel::Panels(lanes, Weights::Factors));
@@ -30,25 +25,23 @@ pub fn linear_kernels() -> Vec<LinearKernel> {
     panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).chain(dots).collect()
 }
 
-/// Returns the limits and, for a kernel with a variant that reads by address, limits without
-/// addresses.
+/// Adds limits without addresses for a kernel with a variant that reads by address.
 pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits> {
     let bound = (has_twin && limits.addresses).then(|| Limits { addresses: false, ..limits.clone() });
     [limits.clone()].into_iter().chain(bound).collect()
 }
 
-/// Returns the linear kernels that have a variant for 8-bit weights, with the variant.
+/// Linear kernels that have a variant for 8-bit weights, with the variant.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
 }
 
-/// Returns the device's nearest-row kernels.
 pub fn nearest_kernels() -> Vec<NearestKernel> {
     let matrix = Units::of(Element::F16, device().limits()).map(NearestKernel::Matrix);
     [NearestKernel::Lanes].into_iter().chain(matrix).collect()
 }
 
-/// Rounds values to this type and back.
+/// Rounds to this type and back.
 pub fn stored(element: Element, values: Vec<f32>) -> Vec<f32> {
     element.decode(&element.encode(&values))
 }

@@ -1,9 +1,6 @@
-//! Equal inputs give equal bits, across runs and devices.
-
 use crate::case::*;
 use zipsplat::{gpu::Progress, kernels::ops::Add};
 
-/// Returns views of 4 x 5 patches.
 fn images(views: u32) -> Vec<Image> {
     (0..views).map(|view| noise(5 * 14, 4 * 14, u64::from(view))).collect()
 }

@@ -93,7 +93,6 @@ fn the_fastest_tile_of_lanes_is_taken_for_f32() {
     }
 }
 
-/// Returns the tuning after a round trip through the cache.
 fn kept(tuning: &Tuning) -> Tuning {
     serde_json::from_slice(&serde_json::to_vec(tuning).unwrap()).unwrap()
 }

@@ -1,5 +1,3 @@
-//! The cached self-test result.
-
 use std::time::{Duration, SystemTime};
 use tempfile::TempDir;
 use zipsplat::tune::{KernelChoice, SelfTest};
@@ -38,15 +36,20 @@ fn computes_in_f16() {
     }
 }
 
+/// `None` without f16.
+fn folder() -> Option<TempDir> {
+    device().limits().half_storage.then(|| tempfile::tempdir().unwrap())
+}
+
 /// Folder, file and contents of a good result.
-fn cache() -> (TempDir, PathBuf, Vec<u8>) {
-    let folder = tempfile::tempdir().unwrap();
+fn cache() -> Option<(TempDir, PathBuf, Vec<u8>)> {
+    let folder = folder()?;
     assert_succeeds(process(folder.path(), "passed"));
     let mut files = fs::read_dir(folder.path().join("self-test")).unwrap();
     let file = files.next().expect("the result is kept").unwrap().path();
     assert!(files.next().is_none(), "only that");
     let result = fs::read(&file).unwrap();
-    (folder, file, result)
+    Some((folder, file, result))
 }
 
 fn parsed(bytes: &[u8]) -> SelfTest {
@@ -56,10 +59,7 @@ fn parsed(bytes: &[u8]) -> SelfTest {
 
 #[test]
 fn a_damaged_result_is_found_anew() {
-    if !device().limits().half_storage {
-        return;
-    }
-    let (folder, file, good) = cache();
+    let Some((folder, file, good)) = cache() else { return };
     let empty = br#"{"begun":0,"result":{"deviations":{}}}"#;
     for damaged in [&b""[..], &good[..good.len() / 2], b"{}", b"\xff\x00", b"[1e999]", empty] {
         fs::write(&file, damaged).unwrap();
@@ -74,10 +74,10 @@ fn a_damaged_result_is_found_anew() {
 
 #[test]
 fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
-    if !device().limits().half_storage || device().limits().matrices.f16.is_none() {
+    if device().limits().matrices.f16.is_none() {
         return;
     }
-    let (folder, file, good) = cache();
+    let Some((folder, file, good)) = cache() else { return };
     let all = parsed(&good);
     assert!(
         all.deviations.keys().all(|kernel| !kernel.contains("bf16") && !kernel.contains("i8")),
@@ -97,10 +97,7 @@ fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
 
 #[test]
 fn a_test_that_is_stopped_was_not_begun() {
-    if !device().limits().half_storage {
-        return;
-    }
-    let (folder, file, good) = cache();
+    let Some((folder, file, good)) = cache() else { return };
     fs::remove_file(&file).unwrap();
     for _ in 0..3 {
         assert_succeeds(process(folder.path(), "stopped"));
@@ -111,10 +108,7 @@ fn a_test_that_is_stopped_was_not_begun() {
 
 #[test]
 fn folders_that_cannot_be_written_to() {
-    if !device().limits().half_storage {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
+    let Some(folder) = folder() else { return };
     let (taken, locked) = (folder.path().join("taken"), folder.path().join("locked"));
     fs::write(&taken, "a file").unwrap();
     fs::create_dir(&locked).unwrap();
@@ -139,10 +133,7 @@ fn folders_that_cannot_be_written_to() {
 
 #[test]
 fn processes_at_once_leave_one_result() {
-    if !device().limits().half_storage {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
+    let Some(folder) = folder() else { return };
     let processes = [0; 3].map(|_| process(folder.path(), "passed").spawn().unwrap());
     for process in processes {
         let out = process.wait_with_output().unwrap();
@@ -162,10 +153,7 @@ fn processes_at_once_leave_one_result() {
 
 #[test]
 fn a_test_that_never_ended_is_tried_once_more() {
-    if !device().limits().half_storage {
-        return;
-    }
-    let (folder, file, good) = cache();
+    let Some((folder, file, good)) = cache() else { return };
     let write = |begun: u32, age: Duration| {
         let known = format!(r#"{{"begun":{begun},"result":null}}"#);
         fs::write(&file, &known).unwrap();

@@ -1,5 +1,3 @@
-//! Scene files with non-finite or out-of-range values.
-
 use crate::doctor::zipsplat;
 use zipsplat_tests::prelude::*;
 

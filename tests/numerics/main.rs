@@ -55,7 +55,7 @@ fn model() -> &'static Model {
     &modes()[0].model
 }
 
-/// Returns a random index below `bound`, 0 if `bound` is 0.
+/// Returns 0 if `bound` is 0.
 fn below(random: &mut Random, bound: usize) -> usize {
     (random.bits() >> 11) as usize % bound.max(1)
 }

@@ -90,12 +90,14 @@ fn writes_forever() {
     }
 }
 
-fn reconstructed() -> Vec<u8> {
+fn reconstructed(ratios: &[f64]) -> Vec<u8> {
     let device = Device::open(&DeviceOptions::default()).unwrap();
     let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
-    let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
-    let scene = reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request).to_scene().unwrap();
-    packed(&scene).into_iter().flat_map(f32::to_le_bytes).collect()
+    let scene_at = |&ratio| {
+        let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
+        reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request).to_scene().unwrap()
+    };
+    ratios.iter().flat_map(|ratio| packed(&scene_at(ratio))).flat_map(f32::to_le_bytes).collect()
 }
 
 #[test]
@@ -103,7 +105,7 @@ fn two_processes_on_one_device_get_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let files = ["first", "second"].map(|name| folder.path().join(name));
     let children = files.clone().map(|file| child("resources::reconstructs", &file, "").spawn().unwrap());
-    let own = reconstructed();
+    let own = reconstructed(&[0.5]);
     for child in children {
         let out = child.wait_with_output().unwrap();
         assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -117,7 +119,7 @@ fn two_processes_on_one_device_get_the_same() {
 #[ignore = "child of two_processes_on_one_device_get_the_same"]
 fn reconstructs() {
     let Some(file) = target() else { return };
-    std::fs::write(file, reconstructed()).unwrap();
+    std::fs::write(file, reconstructed(&[0.5])).unwrap();
 }
 
 fn resident_bytes() -> u64 {
@@ -189,14 +191,7 @@ fn every_subgroup_size_gives_the_same_scene() {
 #[ignore = "child of every_subgroup_size_gives_the_same_scene"]
 fn reconstructs_all_tokens_and_half() {
     let Some(file) = target() else { return };
-    let device = Device::open(&DeviceOptions::default()).unwrap();
-    let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
-    let scene_at = |ratio| {
-        let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
-        reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request).to_scene().unwrap()
-    };
-    let values = [1.0, 0.5].into_iter().flat_map(|ratio| packed(&scene_at(ratio)));
-    std::fs::write(file, values.flat_map(f32::to_le_bytes).collect::<Vec<u8>>()).unwrap();
+    std::fs::write(file, reconstructed(&[1.0, 0.5])).unwrap();
 }
 
 #[test]

@@ -1,5 +1,3 @@
-//! Photos of every kind.
-
 use crate::{Mode, model, modes, noise, reconstruct};
 use image::{DynamicImage, ImageFormat};
 use zipsplat_tests::prelude::*;
@@ -40,9 +38,7 @@ fn uniform_identical_and_noisy_views() {
         for mode in modes() {
             let scene = mode.reconstruct(&images, &ReconstructOptions::default());
             assert_sound(name, &scene, tokens);
-            for ((field, got), (_, expected)) in scenes::fields(&scene).into_iter().zip(scenes::fields(&exact)) {
-                assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
-            }
+            assert_near(name, &scene, &exact, mode);
             for ratio in [0.5, 1e-9] {
                 // Clusters are empty.
                 let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
@@ -60,14 +56,18 @@ fn the_most_views() {
     let exact = all(&modes()[0]);
     assert_sound("192 views", &exact, 192 * 16);
     for mode in &modes()[1..] {
-        let scene = all(mode);
-        for ((field, got), (_, expected)) in scenes::fields(&scene).into_iter().zip(scenes::fields(&exact)) {
-            assert_close(&format!("192 views, {field}"), got, expected, mode.tolerance(field));
-        }
+        assert_near("192 views", &all(mode), &exact, mode);
     }
     let request = ReconstructOptions { ratio: Ratio::Auto, ..ReconstructOptions::default() };
     let scene = reconstruct(model(), &images, &request).to_scene().unwrap();
     assert_sound("192 views, clustered", &scene, scene.len() / model().architecture().gaussians_per_token);
+}
+
+#[track_caller]
+fn assert_near(name: &str, scene: &Scene, exact: &Scene, mode: &Mode) {
+    for ((field, got), (_, expected)) in scenes::fields(scene).into_iter().zip(scenes::fields(exact)) {
+        assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
+    }
 }
 
 fn opened(bytes: &[u8]) -> Image {

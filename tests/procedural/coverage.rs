@@ -25,7 +25,6 @@ fn every_family_path_and_shape_appears() {
     for path in PathKind::ALL {
         assert!(paths.get(&path).is_some_and(|count| *count >= 10), "{paths:?}");
     }
-    // Box, ellipsoid, cylinder, torus, rectangle, height field.
     assert!(shapes.len() == 6 && shapes.values().all(|count| *count >= 20), "{:?}", shapes.values());
 }
 

@@ -9,7 +9,6 @@ const RELATIVE: f64 = 5e-4;
 /// Pixels within which rounding may select the other surface.
 const BESIDE: f64 = 0.02;
 
-/// z is 1; `shift` in pixels.
 fn ray(i: &Intrinsics, x: u32, y: u32, shift: (f64, f64)) -> DVec3 {
     let (x, y) = (f64::from(x) + 0.5 + shift.0, f64::from(y) + 0.5 + shift.1);
     DVec3::new((x - i.cx) / i.fx, (y - i.cy) / i.fy, 1.0)

@@ -1,5 +1,3 @@
-//! Folders and streams restore the captured data.
-
 use crate::{capture, options};
 use std::io::ErrorKind;
 use zipsplat_cli::procedural::shards::{Header, Record, write};

@@ -100,9 +100,8 @@ def test_channels_are_any_number_and_any_sign() -> None:
     whole, alphas, _ = zipsplat.rasterization(**fields, width=48, height=32)
     assert whole.shape == (2, 32, 48, 5) and whole.min() < -0.2
     for channel in range(5):
-        alone, _, _ = zipsplat.rasterization(
-            **{**fields, "colors": 2 * fields["colors"][:, channel : channel + 1]}, width=48, height=32
-        )
+        one = {**fields, "colors": 2 * fields["colors"][:, channel : channel + 1]}
+        alone, _, _ = zipsplat.rasterization(**one, width=48, height=32)
         assert np.allclose(alone[..., 0], 2 * whole[..., channel], atol=2e-5)
     lit, _, _ = zipsplat.rasterization(**fields, width=48, height=32, backgrounds=np.ones((2, 5)))
     assert np.allclose(lit, whole + 1 - alphas, atol=1e-6)

@@ -1,5 +1,3 @@
-//! One arena from photos to pictures.
-
 use zipsplat::{gpu::Arena, stages::render::plan_pictures};
 use zipsplat_tests::prelude::*;
 

@@ -47,7 +47,7 @@ fn cameras() -> Vec<Camera> {
     .to_vec()
 }
 
-/// Two Gaussians per token: one at its patch's center, one unseen.
+/// One Gaussian per token at its patch's center, one unseen.
 fn decoded(place: Place, patches: &Patches) -> Scene {
     let cameras = cameras();
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use zipsplat::Scene;
 use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction, pixel_gaussians};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint, Ffn};
-use zipsplat_tests::networks::images;
+use zipsplat_tests::networks::{images, observed};
 use zipsplat_tests::prelude::*;
 
 fn architecture(config: &str) -> DepthArchitecture {
@@ -22,7 +22,6 @@ fn architecture(config: &str) -> DepthArchitecture {
     found
 }
 
-/// With the Gaussian head if the golden has Gaussians.
 fn model(golden: &Golden) -> DepthModel {
     let config = config(golden);
     let architecture = DepthArchitecture { gaussians: golden.has("gs/means"), ..architecture(config) };
@@ -268,8 +267,7 @@ fn parts_of_maps_make_the_same_bits() {
         let mut run = model.run(plan).unwrap();
         model.write_inputs(&mut run, &tensors, shape, &images, &request).unwrap();
         run.execute().unwrap();
-        let named = |name: &str| run.observed().iter().find(|(other, _)| other == name).expect("it is observed").1;
-        let read = |name: &str| run.read::<u32>(named(name)).unwrap();
+        let read = |name: &str| run.read::<u32>(observed(&run, name)).unwrap();
         (commands, ["head/fuse0", "head/up", "head/logits", "head/logits_aux"].map(read))
     };
     let ((few, whole), (more, parts)) = (logits(u64::MAX), logits(400 << 10));
@@ -279,7 +277,6 @@ fn parts_of_maps_make_the_same_bits() {
     }
 }
 
-/// Always present, and files without a run.
 const KNOWN: [&str; 6] = ["da3_tiny", "da3_odd4", "da3_mono", "da3_rays", "da3_units", "da3_pre"];
 
 #[test]

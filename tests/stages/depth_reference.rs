@@ -1,5 +1,3 @@
-//! Random depth networks against f64.
-
 use std::{collections::BTreeSet, ops::ControlFlow::Continue};
 use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
@@ -96,7 +94,7 @@ fn chosen_patches() {
     let (weights, sizes) = weights(&a);
     let (layers, _) = features(&weights, &sizes, &normalized(&pictures), 0);
     let clusters = kmeans(&layers[3], 2 * sizes.width, 9);
-    // The mean of two ties, and the first wins. Otherwise rounding must not decide.
+    // Exact ties give the first; otherwise rounding must not decide.
     let clear = |gap: &f64| *gap > 1e-4 || *gap < 1e-9;
     assert!(clusters.gaps.iter().all(clear), "another key: {:?}", clusters.gaps);
     let expected: Vec<u32> = clusters.nearest.into_iter().collect::<BTreeSet<_>>().into_iter().collect();

@@ -1,5 +1,3 @@
-//! Parts of the heads against PyTorch.
-
 use zipsplat::{stages::heads::position_table, types::relative_encoding};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{reference::heads::pixel_shuffle::transposed_convolution, reference::heads::resize};

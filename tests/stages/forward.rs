@@ -1,5 +1,3 @@
-//! The forward pass against PyTorch, tap by tap, and its invariants.
-
 use std::collections::HashMap;
 use zipsplat_tests::networks::{images, model};
 use zipsplat_tests::prelude::*;

@@ -1,5 +1,3 @@
-//! Reconstruction from whole photos against the same steps by hand.
-
 use std::ops::ControlFlow::{Break, Continue};
 use zipsplat::types::{
     poses::SceneScale,

@@ -1,5 +1,3 @@
-//! Scenes and PLY files.
-
 use zipsplat::types::{read_ply, write_ply};
 use zipsplat_tests::prelude::*;
 
@@ -82,7 +80,6 @@ fn files_are_the_references_byte_for_byte() {
         let truth = fs::read(&path).unwrap();
         assert_same_but_for_logarithms(&format!("degree {degree}"), &written(&scene), &truth);
 
-        // Outside the file's range.
         let mut clamped = scene.clone();
         clamped.opacities.iter_mut().for_each(|opacity| *opacity = opacity.clamp(1e-6, 1.0 - 1e-6));
         clamped.scales.iter_mut().flatten().for_each(|scale| *scale = scale.max(1e-6));

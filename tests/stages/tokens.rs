@@ -6,7 +6,6 @@ use zipsplat_tests::prelude::*;
 
 const SIZE: [u32; 2] = [56, 42];
 
-/// A flat picture with a bright square.
 fn photo(corner: u32) -> Image {
     let pixel = |x: u32, y: u32| {
         let inside = (corner..corner + 20).contains(&x) && (corner..corner + 16).contains(&y);

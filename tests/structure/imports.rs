@@ -1,10 +1,8 @@
-//! Each module of the engine uses only the layers before it. The crates enforce the rest: only
-//! `engine/gpu` uses Vulkan, and of the engine the references use only `engine/random`.
-
 use crate::source::{Source, files, paths, tokens};
 
-/// Layers of the engine, each using only those before it; the first four are crates. `error` is
-/// `Error` and `Result`.
+/// Each uses only those before it; the first four are crates. `error` is `Error` and `Result`. The
+/// crates enforce the rest: only `engine/gpu` uses Vulkan, and of the engine the references use
+/// only `engine/random`.
 const LAYERS: [&str; 13] = [
     "error",
     "gpu",
@@ -52,7 +50,6 @@ fn used(source: &Source) -> Vec<Vec<String>> {
     paths(&tokens(code), &["crate", "super"]).into_iter().map(absolute).collect()
 }
 
-/// Returns the reason why a file of `layer` must not use `path`.
 fn problem(own: &[&str], path: &[String], stages: &[String]) -> Option<String> {
     let (layer, named) = (own[0], path.first()?.as_str());
     if named == "kernels" {

@@ -32,13 +32,11 @@ fn names(folder: &str, ext: &str) -> BTreeSet<String> {
     files(folder, ext).iter().map(|source| relative(&source.path)).collect()
 }
 
-/// Returns names of `tests/kernels` and of `kernels/verify`.
 fn verified() -> BTreeSet<String> {
     let cases = names("kernels/verify", "rs").into_iter().map(|name| name.trim_end_matches("/mod").to_owned());
     names("tests/kernels", "rs").into_iter().chain(cases).collect()
 }
 
-/// Returns the names that verifications and references must have.
 fn shared_names() -> BTreeSet<String> {
     let verified = verified();
     let shared = |kernel: String| {

@@ -1,5 +1,3 @@
-//! Source files and their tokens.
-
 use std::fs;
 use std::path::Path;
 
@@ -86,7 +84,6 @@ pub fn paths(tokens: &[String], roots: &[&str]) -> Vec<Vec<String>> {
     found
 }
 
-/// Returns the end of the path.
 fn path(tokens: &[String], mut at: usize, mut prefix: Vec<String>, found: &mut Vec<Vec<String>>) -> usize {
     loop {
         match tokens[at].as_str() {

@@ -26,7 +26,6 @@ use zipsplat::{
     },
 };
 
-/// Chosen before any photo is read.
 pub struct Choice {
     poses: Capture,
     inputs: Vec<usize>,
@@ -56,7 +55,6 @@ pub struct Score {
     pub ssim: f64,
     pub nearest_psnr: f64,
     pub mean_color_psnr: f64,
-    /// Absent without weights, or for too small pictures.
     pub lpips: Option<f64>,
 }
 
@@ -185,7 +183,6 @@ impl Choice {
     }
 }
 
-/// Returns the warning about an estimated scene scale, with the option that replaces it.
 pub fn scale_warning(scale: &SceneScale) -> Option<String> {
     scale.doubt().map(|doubt| format!("{doubt} (--scene-scale LENGTH)"))
 }
@@ -203,7 +200,6 @@ impl ViewSplit {
         self.views.cameras.clone()
     }
 
-    /// Returns training views at the compared size.
     pub fn training_views(&self) -> (Vec<Image>, Vec<Camera>) {
         self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
     }
@@ -214,7 +210,7 @@ impl ViewSplit {
         nearest.expect("a capture has an input")
     }
 
-    /// Takes predictions of the targets, `[height][width][rgb]` in 0..1.
+    /// `drawn` are predictions of the targets, `[height][width][rgb]` in 0..1.
     pub fn scores(&self, drawn: &[Vec<f32>]) -> Vec<Score> {
         self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
     }
@@ -244,7 +240,7 @@ fn alike(image: &Image, to: &Image) -> Image {
     resize_lanczos(image, to.width, to.height).expect("neither is empty")
 }
 
-/// Renders the loaded scene, `[height][width][rgb]` in 0..1.
+/// `[height][width][rgb]` in 0..1.
 pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
     let frame = renderer.render(&[*camera], &RenderOptions::default())?.remove(0);
     Ok(frame.rgb.unwrap_or_default().into_iter().map(|value| value.clamp(0.0, 1.0)).collect())

@@ -19,7 +19,6 @@ const NAMED: [(&str, u32); 17] = [
     ("aqua", 0x00ffff),
 ];
 
-/// Parses `R,G,B`, `#rrggbb`, `#rgb` or a name to 0..1.
 pub fn parse(text: &str) -> Result<[f32; 3], String> {
     let text = text.trim();
     let color = match text.strip_prefix('#') {

@@ -1,5 +1,3 @@
-//! Decoding by an installed ffmpeg.
-
 use crate::{
     process::{POLL, Running, failure, listen},
     session::Stage,
@@ -21,7 +19,6 @@ pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "r
 /// Videos and HEIC; excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
 const QUALITY: u8 = 95;
-/// Lines in a message.
 const MOST_LINES: usize = 3;
 
 /// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns ffmpeg's
@@ -65,7 +62,6 @@ pub fn decode<T: Send + 'static>(
     let messages = words(&messages.and_then(|messages| messages.join().ok()).unwrap_or_default(), file);
     match broken {
         None if status.success() => Ok(messages),
-        // ffmpeg was killed.
         _ if messages.is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
         _ if messages.contains("matches no streams") => {
             Err(Error::format(file, None, "ffmpeg finds no pictures in it"))

@@ -27,7 +27,6 @@ use zipsplat::{
     weights::{DepthArchitecture, DepthCheckpoint},
 };
 
-/// Default limit of points.
 pub const POINTS: usize = 200_000;
 
 #[derive(Args, Clone, Copy, Debug, Default)]
@@ -74,7 +73,6 @@ impl Quality {
         }
     }
 
-    /// Acts as [`Quality::check`], for pixel scenes.
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
         refuse("--kv-pool", self.kv_pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
         let all = checkpoint.architecture().backbone.patch_size.pow(2) as u32;
@@ -96,14 +94,11 @@ pub fn check_finds_cameras(network: &DepthArchitecture) -> Result<()> {
     Err(Error::argument("network that finds cameras", found, expected))
 }
 
-/// Photos with a network's results.
 pub struct PredictedViews {
     /// Photos with a camera, or all if the network estimates none.
     pub photos: Vec<PathBuf>,
-    /// Network input.
     pub views: Vec<View>,
     pub depths: DepthPrediction,
-    /// Cameras of the views, if known or estimated.
     pub cameras: Option<Vec<Camera>>,
     /// Photos without a camera.
     pub lost: Vec<PathBuf>,
@@ -122,7 +117,6 @@ pub struct DepthPredictor {
     loading: Duration,
 }
 
-/// Photos prepared for a network.
 #[derive(Clone)]
 pub struct PreparedPhotos {
     photos: Vec<PathBuf>,
@@ -154,7 +148,6 @@ impl PredictorOptions<'_> {
 }
 
 impl PreparedPhotos {
-    /// `side` is the longer side; `known` frames have cameras.
     pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<Self> {
         let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(read.len(), |i| Ok(&read[i]), side.unwrap_or(DEFAULT_BOUND))?;
@@ -174,7 +167,6 @@ impl DepthPredictor {
         PreparedPhotos::read(self.side, photos, known, stage)
     }
 
-    /// Share of patches in the scene.
     pub fn keep(&mut self, ratio: Ratio) {
         self.request.ratio = ratio;
     }
@@ -288,7 +280,6 @@ impl PredictedViews {
         Ok(scene)
     }
 
-    /// Returns the number of patches in the scene, and of all.
     pub fn patches(&self) -> [usize; 2] {
         let [columns, rows] =
             [self.depths.width, self.depths.height].map(|side| side as usize / self.depths.patch_size);

@@ -1,5 +1,3 @@
-//! `--explain`: executed and skipped passes.
-
 use crate::table::{Table, bytes};
 use serde::Serialize;
 use std::{fmt, time::Duration};
@@ -24,7 +22,6 @@ struct Pass {
 }
 
 impl Explanation {
-    /// One pass per kernel and scope.
     pub fn of_kernels(profile: &Profile, skipped_passes: Vec<SkippedPass>) -> Self {
         let pass = |row: &ProfileRow| {
             let pass = if row.kernel.starts_with(&row.scope) {
@@ -37,7 +34,6 @@ impl Explanation {
         Self { passes: profile.rows.iter().map(pass).collect(), skipped_passes }
     }
 
-    /// One pass per timed stage.
     pub fn of_stages(times: &StageTimes, outline: &Profile, skipped_passes: Vec<SkippedPass>) -> Self {
         let pass = |(stage, time): &(String, Duration)| {
             let inside = |row: &&ProfileRow| row.scope.split('/').next() == Some(stage);

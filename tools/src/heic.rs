@@ -1,5 +1,3 @@
-//! HEIC photos by an installed ffmpeg.
-
 use crate::{
     decode::{AS_PPM, decode, input, read_ppm, save_jpeg},
     process,
@@ -58,7 +56,6 @@ fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
     image.ok_or_else(|| Error::format(picture, None, format!("ffmpeg gives no picture: {messages}")))
 }
 
-/// Adds the conversion command.
 fn advised(picture: &Path, error: Error) -> Error {
     let why = match error {
         Error::Cancelled => return error,

@@ -45,7 +45,6 @@ const OPTIONS: [(&[&str], &str, &str); 36] = [
 const SIZED: [&str; 9] =
     ["reconstruct", "batch", "eval", "info", "view", "depth", "bench forward", "bench depth", "bench tradeoff"];
 
-/// Rewrites a command line. `is_command` recognizes commands and their subcommands.
 pub fn rewritten(args: Vec<OsString>, is_command: impl Fn(&str) -> bool) -> Vec<OsString> {
     let has = |option: &str| args.iter().any(|word| word == option);
     let (plans, needs_cameras) = (has("--plan"), !has("--poses"));
@@ -137,7 +136,6 @@ fn renamed(command: &str, name: &str, value: Option<&str>) -> Vec<String> {
     }
 }
 
-/// Tells `info FILE` from `info`.
 fn names_file(args: &[OsString]) -> bool {
     let command = args.iter().position(|word| word == "info").unwrap_or(args.len());
     args.windows(2).skip(command).any(|pair| {

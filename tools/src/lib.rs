@@ -1,4 +1,7 @@
-//! The `zipsplat` command as a library: [`run`] maps arguments to an exit code.
+//! The `zipsplat` command as a library, for the command and its tests: [`run`] maps arguments to an
+//! exit code.
+
+#![allow(missing_docs)]
 
 pub mod align;
 mod animation;
@@ -67,7 +70,6 @@ struct Cli {
     command: Command,
 }
 
-/// Minimum bytes of short help.
 const SHORTEST_CLAUSE: usize = 16;
 /// Options in `-h`, besides positional arguments and the options of every command.
 const SHORT_HELP: [(&str, &[&str]); 9] = [
@@ -113,7 +115,7 @@ fn shortened(arg: clap::Arg) -> clap::Arg {
     arg.help(long[..end].to_owned()).long_help(long)
 }
 
-/// Runs a command line, program name first, and returns its exit code (see `--help`).
+/// Returns the exit code (see `--help`). `args` start with the program name.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let commands = Cli::command();
     let is_command = |word: &str| {

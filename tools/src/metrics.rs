@@ -8,12 +8,11 @@ const SIGMA: f64 = 1.5;
 const RADIUS: usize = 5;
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
 
-/// Returns a picture's values in 0..1.
 pub fn values(image: &Image) -> Vec<f32> {
     image.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()
 }
 
-/// Returns the peak signal-to-noise ratio in dB of values in 0..1; infinite for equal pictures.
+/// Returns dB, for values in 0..1; infinite for equal pictures.
 pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     assert_eq!(a.len(), b.len());
     let squares: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
@@ -27,7 +26,6 @@ pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Fills a picture `[..][rgb]` with its mean color.
 pub fn mean_color(picture: &[f32]) -> Vec<f32> {
     let mut sums = [0.0; 3];
     picture.iter().enumerate().for_each(|(i, value)| sums[i % 3] += f64::from(*value));
@@ -35,10 +33,11 @@ pub fn mean_color(picture: &[f32]) -> Vec<f32> {
 }
 
 /// Returns the structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al.
-/// 2004): the mean over channels and complete windows, with K1 = 0.01, K2 = 0.03.
+/// 2004).
 ///
 /// Matches scikit-image's `structural_similarity(a, b, win_size=11, data_range=1, channel_axis=-1,
-/// gaussian_weights=True)`, with sample variances.
+/// gaussian_weights=True)`: mean over channels and complete windows, K1 = 0.01, K2 = 0.03, sample
+/// variances.
 pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
     let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {
@@ -115,8 +114,8 @@ impl LpipsOption {
     }
 }
 
-/// Returns the distance of two pictures of equal size, `[height][width][rgb]` in 0..1; `None`
-/// without a network, or for pictures that are too small.
+/// `None` without a network, or for pictures that are too small. Pictures are
+/// `[height][width][rgb]` in 0..1.
 pub fn lpips(network: Option<&mut Perceptual>, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<Option<f64>> {
     match network {
         Some(network) if size[0].min(size[1]) >= network.network().least_side() => {

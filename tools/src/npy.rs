@@ -6,7 +6,6 @@ use zipsplat::{Error, Result};
 const MAGIC: &[u8] = b"\x93NUMPY";
 const START: &str = "{'descr': '<f4', 'fortran_order': False, 'shape': (";
 
-/// Encodes format 1.0: a header padded to 128 bytes, then the values.
 pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     let header = format!("{START}{height}, {width}), }}");
     let mut bytes = [MAGIC, b"\x01\x00\x76\x00"].concat();
@@ -15,7 +14,6 @@ pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Reads formats 1.0 to 3.0.
 pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |found: &str| {

@@ -1,5 +1,3 @@
-//! Options shared by several commands.
-
 use crate::{
     released::{self, is_of_depth, open_depth},
     session::Session,
@@ -37,7 +35,6 @@ impl Weights {
         }
     }
 
-    /// Opens a network of the kind that the file's tensors show.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
@@ -53,7 +50,6 @@ impl Weights {
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
-    /// Returns these options as arguments of `zipsplat convert`.
     pub fn as_input(&self) -> Vec<&str> {
         let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
         [self.weights.as_deref().unwrap_or(BUILTIN)].into_iter().chain(variant).collect()
@@ -69,7 +65,6 @@ impl Weights {
 }
 
 pub enum Network {
-    /// Tokens become Gaussians.
     Tokens(Checkpoint),
     /// Pixels become Gaussians, at estimated depth.
     Pixels(DepthCheckpoint),
@@ -94,7 +89,7 @@ fn is_builtin(weights: &str) -> bool {
 
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
-/// Opens a checkpoint; rejects other files by their first bytes.
+/// Rejects other files by their first bytes.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
     if is_builtin(text) {
         refuse(
@@ -128,7 +123,6 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     Checkpoint::parse(text, variant)
 }
 
-/// Rejects an option that does not apply to this input.
 pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<()> {
     if given { Err(Error::argument(option, found, format!("{expected}, which it is for"))) } else { Ok(()) }
 }
@@ -148,7 +142,7 @@ pub struct Quality {
     /// Keep only the N most visible Gaussians per token
     #[arg(long, alias = "max-gaussians-per-patch", value_name = "N|all", default_value = "all")]
     max_gaussians_per_token: Keep,
-    /// Network input size in pixels, multiples of 14; the trained size, the default, is best
+    /// Network input size in pixels, multiples of 14 [default: the trained size]
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
     #[command(flatten)]
@@ -167,7 +161,6 @@ impl SceneInput {
         self.drop_invalid
     }
 
-    /// Notes and returns the number of dropped Gaussians.
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| Scene::open_unchecked(path))?;
         if !self.drop_invalid {
@@ -215,7 +208,6 @@ impl Quality {
         self.input_size
     }
 
-    /// Longer side of pictures of any shape.
     pub fn side(&self) -> Option<u32> {
         self.input_size.map(|Size(width, height)| width.max(height))
     }
@@ -224,14 +216,13 @@ impl Quality {
         self.max_gaussians_per_token.0.map_or(architecture.gaussians_per_token, |keep| keep as usize)
     }
 
-    /// Removes Gaussians beyond the requested number.
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
         if let Some(keep) = self.kept() {
             scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
         }
     }
 
-    /// Returns the engine's options. Without `cameras` the network estimates them.
+    /// Without `cameras` the network estimates them.
     pub fn request(&self, cameras: Vec<Camera>, scene_scale: f64) -> ReconstructOptions {
         ReconstructOptions {
             ratio: self.ratio,
@@ -247,7 +238,6 @@ impl Quality {
         Size::or_best(self.input_size, checkpoint)
     }
 
-    /// Warns about a size that differs from the trained one.
     pub fn doubt_size(&self, checkpoint: &Checkpoint) -> Option<String> {
         let trained = Size::or_best(None, checkpoint);
         let asked = self.input_size.filter(|asked| *asked != trained)?;
@@ -291,14 +281,13 @@ impl PrecisionName {
 }
 
 impl ArithmeticOption {
-    /// Returns the requested precision, or the device's best. Notes kernels that failed their test.
+    /// Notes kernels that failed their test.
     pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
         let KernelChoice { precision, arithmetic, warnings: notes } = session.choose(device, self.asked())?;
         notes.iter().for_each(|note| session.note(note));
         Ok((precision, arithmetic))
     }
 
-    /// Chooses for a device by its limits.
     pub fn planned(&self, limits: &Limits) -> (Precision, Arithmetic) {
         let precision = self.asked().unwrap_or(Precision::best(limits));
         let arithmetic = Arithmetic::of(precision, limits);
@@ -310,7 +299,7 @@ impl ArithmeticOption {
     }
 }
 
-/// Gaussians kept per token; `None` keeps all.
+/// `None` keeps all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Keep(Option<u32>);
 
@@ -337,7 +326,7 @@ impl FromStr for Keep {
     }
 }
 
-/// Width and height in pixels.
+/// In pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u32, pub u32);
 
@@ -370,7 +359,6 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     }
 }
 
-/// Parses a positive length.
 pub fn parse_length(text: &str) -> Result<f64, String> {
     let length = text.parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0);
     length.ok_or_else(|| "expected a number above 0".into())

@@ -85,7 +85,6 @@ impl Overwrite {
     }
 }
 
-/// Pipes and devices are not replaced.
 fn is_file(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| found.is_file() && found.len() > 0)
 }
@@ -160,7 +159,6 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Opti
     })
 }
 
-/// Row of [`FAILURES`], in the folder of the results.
 #[derive(Serialize)]
 pub struct Failure {
     pub capture: String,
@@ -180,7 +178,6 @@ impl Failure {
     }
 }
 
-/// Ends a summary with the counts that are not 0.
 pub fn and_others(mut text: String, others: &[(usize, &str)]) -> String {
     others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
     text
@@ -201,7 +198,6 @@ pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
     write_atomic(path, |out| out.write_all(&table))
 }
 
-/// In bytes.
 pub fn size_of(path: &Path) -> Result<u64> {
     Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
 }
@@ -214,7 +210,6 @@ pub fn save_picture(path: &Path, image: &Image) -> Result<()> {
     save_png(path, [image.width, image.height], ColorType::Rgb, BitDepth::Eight, &image.rgb, None)
 }
 
-/// Writes alpha in 0..1 as 8-bit gray.
 pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result<()> {
     let levels: Vec<u8> = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
     save_png(path, [width, height], ColorType::Grayscale, BitDepth::Eight, &levels, None)
@@ -231,7 +226,6 @@ pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32
     save_png(path, size, ColorType::Grayscale, BitDepth::Sixteen, &rounded, Some(levels))
 }
 
-/// Writes a PNG that names its generator, for [`is_own`].
 fn save_png(
     path: &Path,
     [width, height]: [u32; 2],

@@ -1,5 +1,3 @@
-//! Photos from files and folders to network input.
-
 use crate::{
     heic::{is_heic, to_jpeg},
     options::Size,
@@ -26,7 +24,6 @@ use zipsplat::{
     },
 };
 
-/// Names in a message.
 const NAMED: usize = 5;
 /// Share of the area that needs a warning.
 const CROPPED: f64 = 0.1;
@@ -63,8 +60,8 @@ impl PhotoArgs {
 }
 
 impl Reading {
-    /// Acts as [`list`], and converts videos and HEIC: `frames` per video, or a default. The folder
-    /// of converted photos lies beside their camera file, if any.
+    /// Also converts videos and HEIC: `frames` per video, or a default. The folder of converted
+    /// photos lies beside their camera file, if any.
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -229,7 +226,7 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
-/// Keeps at most `views` photos that have a camera among any `poses`, with its warnings as notes.
+/// Keeps at most `views` photos that have a camera among any `poses`.
 pub fn kept(
     session: &mut Session<'_>,
     photos: Vec<PathBuf>,
@@ -241,7 +238,6 @@ pub fn kept(
     Ok(spread(posed(session, photos, poses)?, views))
 }
 
-/// Keeps photos with a camera among `poses`, and notes the others.
 pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Capture) -> Result<Vec<PathBuf>> {
     let (mut kept, mut others) = (Vec::new(), Vec::new());
     for photo in photos {
@@ -279,7 +275,7 @@ pub fn spread(photos: Vec<PathBuf>, count: Option<u32>) -> Vec<PathBuf> {
 }
 
 /// Reads photos concurrently and maps them with `make`, by index. Photos with `frames` are read as
-/// by [`CaptureView::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
+/// by [`CaptureView::open`]: COLMAP's cameras ignore the EXIF orientation.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&CaptureView],

@@ -1,5 +1,3 @@
-//! Pictures of a scene, written while the next ones render.
-
 use crate::{
     animation::{Animation, Encoder},
     outputs,
@@ -99,7 +97,6 @@ fn batch(cameras: &[Camera]) -> usize {
 
 struct Writer<'a> {
     sinks: Sinks<'a>,
-    /// Created with the first picture.
     encoder: Option<Box<dyn Encoder>>,
     drawn: Drawn,
     background: [f32; 3],
@@ -155,7 +152,6 @@ fn image(frame: &RenderOutput) -> Result<Image> {
     Image::from_rgb_f32(frame.width, frame.height, frame.rgb.as_deref().unwrap_or_default())
 }
 
-/// Returns the thumbnail.
 fn save(folder: &Path, number: usize, frame: &RenderOutput, image: &Image, frames: usize) -> Result<Image> {
     let &RenderOutput { width, height, .. } = frame;
     let path = |layer: &str| file(folder, number, layer);

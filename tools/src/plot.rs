@@ -1,5 +1,3 @@
-//! SVG plots with a legend, for reports.
-
 use plotters::prelude::*;
 use std::{fmt::Write, ops::Range};
 
@@ -67,7 +65,6 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     )
 }
 
-/// Numbers the SVG's circles in order.
 fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
     let mut pieces = svg.split("<circle");
     let mut numbered = pieces.next().unwrap_or_default().to_owned();

@@ -30,7 +30,7 @@ pub struct Running(pub Child, Option<Child>);
 const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 
 impl Running {
-    /// Starts a program in its own group: only this command receives Ctrl-C.
+    /// Only this command receives Ctrl-C: the program has its own group.
     pub fn start(command: &mut Command) -> io::Result<Self> {
         set_group(command);
         let mut started = lock(&STARTED);
@@ -44,7 +44,6 @@ impl Running {
             }
         };
         if let Some(group) = watch.as_mut().and_then(|watch| watch.stdin.as_mut()) {
-            // The watcher may have ended.
             let _ = writeln!(group, "{}", child.id());
         }
         started.push(child.id());
@@ -72,7 +71,6 @@ impl Running {
     fn end(&mut self) {
         if matches!(self.0.try_wait(), Ok(None)) {
             end_group(self.0.id());
-            // It may have ended meanwhile.
             let _ = self.0.kill();
         }
     }
@@ -126,7 +124,6 @@ pub fn end_all() {
 fn end_group(id: u32) {
     #[cfg(unix)]
     if let Some(group) = i32::try_from(id).ok().and_then(rustix::process::Pid::from_raw) {
-        // It may have ended meanwhile.
         let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
     }
 }
@@ -173,7 +170,6 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
     running.wait(&program, stage)
 }
 
-/// `name` and `expected` are for the message.
 pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     let mut command = Command::new(program);
     command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -200,13 +196,11 @@ pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
 pub fn listen(mut stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     std::thread::spawn(move || {
         let mut text = Vec::new();
-        // Keeps the text before a read error.
         let _ = stream.read_to_end(&mut text);
         String::from_utf8_lossy(&text).into_owned()
     })
 }
 
-/// Uses the program's message, or its exit status.
 pub fn failure(program: &Path, message: &str, status: impl ToString) -> Error {
     let words = if message.trim().is_empty() { status.to_string() } else { message.trim().to_owned() };
     // A broken pipe means our own output.

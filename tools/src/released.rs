@@ -1,5 +1,3 @@
-//! Named weights, downloadable or cached.
-
 use crate::download::{Client, TAG};
 use std::path::{Path, PathBuf};
 use zipsplat::{Error, Result, gpu::cache_dir, weights::DepthCheckpoint};
@@ -117,7 +115,7 @@ impl Released {
         folder.join(self.kept_as)
     }
 
-    /// Returns a conversion's path, with its hash; the file itself for unconverted weights.
+    /// The file itself for unconverted weights.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
         match self.kind {
@@ -143,7 +141,6 @@ impl Released {
         self.kept_as.rsplit_once('.').map_or(self.kept_as, |(stem, _)| stem)
     }
 
-    /// Files named by these weights, a hash, and `ending`.
     fn tagged(&self, folder: &Path, ending: &str) -> Vec<PathBuf> {
         let tag = |name: &str| {
             let tag = name.strip_prefix(self.stem())?.strip_prefix('-')?.strip_suffix(ending)?;
@@ -189,7 +186,6 @@ fn check_name(name: &str) -> Result<()> {
     Err(Error::argument("weights", name, expected))
 }
 
-/// Detects weights of Depth Anything 3 by name or by tensors.
 pub fn is_of_depth(text: &str) -> bool {
     Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
 }

@@ -10,7 +10,6 @@ use zipsplat::{Error, Result, types::remove_stale};
 /// Name prefix; unlocked folders with it are removed.
 const PREFIX: &str = ".zipsplat-scratch-";
 
-/// Temporary folder, locked while its process lives.
 pub struct Scratch {
     folder: TempDir,
     // `None` on systems without folder locks, where nothing is removed.

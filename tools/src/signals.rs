@@ -1,5 +1,3 @@
-//! Termination signals.
-
 use crate::{CANCELLED, process};
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -4,7 +4,6 @@ use sha2::{Digest, Sha256};
 use std::{path::Path, time::SystemTime};
 use zipsplat::{Error, Result};
 
-/// Name, size and time.
 pub fn stamp(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path, error);
     let found = path.metadata().map_err(failed)?;
@@ -12,7 +11,6 @@ pub fn stamp(path: &Path) -> Result<String> {
     Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
-/// Of weights by name or file.
 pub fn stamp_of_weights(weights: &str) -> Result<String> {
     let path = Path::new(weights);
     if path.is_file() { stamp(path) } else { Ok(String::new()) }

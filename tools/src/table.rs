@@ -1,5 +1,3 @@
-//! Text tables, sizes and times.
-
 use indicatif::{HumanBytes, HumanCount};
 use std::{fmt, time::Duration};
 
@@ -38,7 +36,6 @@ impl fmt::Display for Table {
     }
 }
 
-/// Four digits.
 pub fn significant(value: f64) -> String {
     let digits = if value.abs() > 0.0 { (3.0 - value.abs().log10().floor()).max(0.0) } else { 4.0 };
     if digits > 8.0 { format!("{value:.3e}") } else { format!("{value:.*}", digits as usize) }

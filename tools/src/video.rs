@@ -1,5 +1,3 @@
-//! Photos from a video, by an installed ffmpeg.
-
 use crate::{
     decode::{AS_PPM, decode, read_ppm, read_whole, save_jpeg},
     outputs::make_folder,
@@ -14,7 +12,6 @@ use std::{
 use zipsplat::{Error, Result};
 
 const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp", "mts"];
-/// Default number of frames from a video.
 pub const FRAMES: usize = 24;
 /// Longer side for measuring sharpness, small enough to suppress noise.
 const SIDE: usize = 512;

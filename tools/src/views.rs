@@ -49,7 +49,6 @@ pub struct Views {
     pub note: Option<String>,
 }
 
-/// Picture with its camera, if known.
 pub type NetworkInput = (Image, Option<Camera>);
 
 impl Crop {
@@ -119,7 +118,6 @@ impl Crop {
 }
 
 impl Seeing {
-    /// Creates a center crop for network and comparison.
     pub fn cropped(size: Size) -> Self {
         Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos }
     }

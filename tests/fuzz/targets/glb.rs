@@ -1,4 +1,3 @@
 #![no_main]
-//! glTF scenes as binary.
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::scene("glb", bytes));

@@ -1,4 +1,3 @@
 #![no_main]
-//! PNG, JPEG and WebP.
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::photo(bytes));

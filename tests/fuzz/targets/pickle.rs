@@ -1,4 +1,3 @@
 #![no_main]
-//! Pickles as torch.save writes them.
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::checkpoint(&zipsplat_fuzz::archive(bytes)));

@@ -1,4 +1,3 @@
 #![no_main]
-//! PLY scenes.
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::scene("ply", bytes));

@@ -1,4 +1,3 @@
 #![no_main]
-//! Points of a PLY.
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::points("points.ply", bytes));

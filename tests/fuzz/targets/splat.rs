@@ -1,4 +1,3 @@
 #![no_main]
-//! .splat scenes.
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| zipsplat_fuzz::scene("splat", bytes));

@@ -1,5 +1,3 @@
-//! Cluster means against f64 sums; the whole clustering against the goldens.
-
 use crate::case::*;
 use zipsplat::{ops::NearestKernel, stages::cluster, stages::cluster::Means};
 use zipsplat_tests::reference::cluster::mean::mean;
@@ -86,7 +84,6 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
 }
 
 struct Found {
-    /// Row nearest to each centroid.
     nearest: Vec<u32>,
     assigned: Vec<u32>,
     centroids: Vec<f32>,

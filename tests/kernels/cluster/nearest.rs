@@ -1,5 +1,3 @@
-//! The nearest target, and the first in a tie.
-//!
 //! Most coordinates are small integers or multiples of 1/64 about an origin. Their squared
 //! distances and the products of their halves are exact in f32, so every kernel agrees with f64.
 
@@ -35,7 +33,6 @@ fn nearest(kernel: NearestKernel, points: &[f32], targets: &[f32], width: usize)
     find(device().limits(), kernel, [points, targets], width, Some(0.0)).0
 }
 
-/// Checks coordinates for which every kernel is exact.
 fn check(name: &str, points: &[f32], targets: &[f32], width: usize) {
     let truth = reference(&widen(points), &widen(targets), width);
     for kernel in nearest_kernels() {
@@ -46,7 +43,6 @@ fn check(name: &str, points: &[f32], targets: &[f32], width: usize) {
     }
 }
 
-/// Returns multiples of 1/64.
 fn quantized(seed: u64, len: usize) -> Vec<f32> {
     random(seed, len).iter().map(|x| (x * 64.0).round() / 64.0).collect()
 }
@@ -73,7 +69,7 @@ fn of_equally_near_ones_the_first() {
     }
 }
 
-/// Permutes the channels of rows, and so the order of sums.
+/// Changes the order of sums.
 fn reordered(rows: &[f32], width: usize, step: usize) -> Vec<f32> {
     rows.chunks(width).flat_map(|row| (0..width).map(|c| row[(c * step + step) % width])).collect()
 }
@@ -123,7 +119,6 @@ fn of_many_that_tie_the_first() {
 
 #[test]
 fn what_is_no_number_is_never_nearest() {
-    // Nor does it affect other points.
     let (width, mut points, mut targets) = (8, quantized(14, 40 * 8), quantized(15, 70 * 8));
     let truth = reference(&widen(&points), &widen(&targets[8..]), width);
     (points[3 * 8 + 5], targets[2]) = (f32::NAN, f32::INFINITY);

@@ -7,7 +7,6 @@ use zipsplat::kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS};
 use zipsplat::ops::{Lanes, LinearKernel, Weights, pack_matrix};
 use zipsplat_tests::{reference::heads::convolution::convolution, reference::ops::activation};
 
-/// Options of the epilogue.
 #[derive(Clone, Copy, Debug, Default)]
 struct How {
     rectified: bool,

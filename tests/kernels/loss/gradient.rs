@@ -8,7 +8,6 @@ use zipsplat_tests::{golden::interleaved, reference::loss::gradient as reference
 const LOSSES: [(Loss, &str); 4] =
     [(Loss::L1, "l1"), (Loss::Mse, "mse"), (Loss::Dssim, "dssim_same"), (Loss::L1Dssim, "l1_dssim_3dgs")];
 
-/// Pictures `[cameras, height, width, 3]`.
 struct Pictures {
     shape: FrameShape,
     frames: Vec<f32>,

@@ -11,7 +11,6 @@ struct Features {
 }
 
 impl Features {
-    /// The second pixel has no features in `a`, the third none in `b`.
     fn new(pixels: usize, channels: usize) -> Self {
         let mut a = random(1, pixels * channels);
         let mut b = random(2, pixels * channels);

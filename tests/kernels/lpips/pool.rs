@@ -1,5 +1,3 @@
-//! Max pooling of rectified features and its gradient, exact, with ties.
-
 use crate::case::*;
 use zipsplat::kernels::lpips::{Pool, PoolBackward};
 use zipsplat_tests::reference::lpips::pool as reference;
@@ -7,7 +5,6 @@ use zipsplat_tests::reference::lpips::pool as reference;
 /// (height, width, channels, side, step); windows ignore the remainder.
 const SHAPES: [[usize; 5]; 5] = [[2, 2, 1, 2, 2], [7, 9, 5, 2, 2], [8, 4, 64, 2, 2], [9, 12, 3, 3, 2], [7, 8, 2, 3, 2]];
 
-/// Returns features with many ties, half of them below 0.
 fn features(len: usize) -> Vec<f32> {
     random(1, len).iter().map(|x| (4.0 * x).round() / 4.0).collect()
 }

@@ -1,5 +1,3 @@
-//! Chains of steps: exact for integers, within rounding for shrinking values.
-
 use crate::case::*;
 use zipsplat::ops::measure::FmaChains;
 use zipsplat_tests::reference::measure::fma::chains;

@@ -1,5 +1,3 @@
-//! Concatenated columns, exact.
-
 use crate::case::*;
 use zipsplat::{kernels::ops::PlaceColumns, ops};
 use zipsplat_tests::reference::ops::place_columns::join_columns;

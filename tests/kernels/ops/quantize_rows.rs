@@ -4,7 +4,6 @@ use crate::case::*;
 use zipsplat::ops::quantize_rows;
 use zipsplat_tests::reference::ops::quantize_rows::quantize_rows as reference;
 
-/// Returns the kernel's integers and scales.
 fn quantized(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
     let mut case = plan();
     let source = Rows { tensor: case.input_of(Element::F16, values), count: rows, width, element: Element::F16 };

@@ -3,7 +3,6 @@
 use crate::case::*;
 use zipsplat::ops::sort::{key_starts, sort_pairs};
 
-/// Sorts the first `count` keys with their indices and compares with std's sort.
 fn check(keys: &[u32], count: usize, bits: u32) {
     let mut case = plan();
     let indices: Vec<u32> = (0..keys.len() as u32).collect();

@@ -5,7 +5,7 @@ use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
 use zipsplat_tests::reference::backbone::rope::{global_positions, local_positions};
 use zipsplat_tests::reference::ops::split_heads::{Part, Pool, split_heads};
 
-/// One call: `rows` rows from `first_row` on, of sequences of `sequence` rows.
+/// `rows` rows from `first_row` on, of sequences of `sequence` rows.
 #[derive(Clone, Copy, Debug)]
 struct Call {
     heads: usize,
@@ -46,12 +46,10 @@ const SCALE: f32 = 0.25;
 const EPS: f32 = 1e-5;
 
 impl Call {
-    /// Checks every type.
     fn check(self) {
         elements().into_iter().for_each(|element| self.check_element(element));
     }
 
-    /// Runs the kernel and compares its output, also for stray writes.
     fn check_element(self, element: Element) {
         let Call { heads, dim, rows, sequence, .. } = self;
         let stride = heads * dim + 2 * COLUMN;
@@ -119,7 +117,6 @@ impl Call {
         assert_close(&format!("{self:?}"), &written, &truth, tolerance.and(Tolerance::ELEMENTWISE).stored_in(element));
     }
 
-    /// Returns the output index of `channel` of a head of row `row`.
     fn place(&self, row: usize, head: usize, channel: usize) -> usize {
         let row = self.first_row + row;
         let (sequences, within, panel) = (self.out_rows / self.sequence, row % self.sequence, self.panel);
@@ -131,13 +128,11 @@ impl Call {
         }
     }
 
-    /// Returns the averaged groups.
     fn pool(&self) -> Option<Pool> {
         let (rows, columns) = self.grid.filter(|_| self.side > 1)?;
         Some(Pool { side: self.side, grid: [rows, columns], leading: 1 })
     }
 
-    /// Returns the number of rows of the projection.
     fn sources(&self) -> usize {
         let Some(Pool { side, grid, leading }) = self.pool() else { return self.rows };
         let groups = leading + grid.iter().map(|patches| patches.div_ceil(side)).product::<usize>();

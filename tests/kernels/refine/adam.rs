@@ -26,7 +26,7 @@ fn stepped(
     case.results([parameters, moments[0], moments[1]]).unwrap()
 }
 
-/// Returns `count` values valid in every space, and 20 gradients of many magnitudes.
+/// Values are valid in every space; 20 gradients have many magnitudes.
 fn problem(count: usize) -> (Vec<f32>, Vec<Vec<f32>>) {
     let start = random(1, count).iter().map(|x| 0.5 + 0.49 * x).collect();
     let sizes = random(2, count);

@@ -40,11 +40,9 @@ impl Found {
     }
 }
 
-/// Options of a backward pass.
 struct How<'a> {
     limits: &'a Limits,
     capacity: usize,
-    /// Initial value of the gradients.
     before: f32,
     scene: bool,
     cameras: bool,
@@ -105,7 +103,6 @@ impl How<'_> {
     }
 }
 
-/// Interleaves the weights of the requested outputs, as in frames.
 fn weigh(weights: &Weights, request: &RenderOptions) -> Vec<f32> {
     let depth = request.depth.map(|_| (&weights.depth, 1));
     let planes = [request.rgb.then_some((&weights.rgb, 3)), request.alpha.then_some((&weights.alpha, 1)), depth];
@@ -122,8 +119,8 @@ const SETS: [(&str, [bool; 3]); 5] = [
     ("all", [true, true, true]),
 ];
 
-/// Asserts gradients within limits: the total relatively, each row by a share of its own length and
-/// one of the longest.
+/// Limits are relative: of the total, and for each row a share of its own length and one of the
+/// longest.
 fn hold(name: &str, got: &[f32], truth: &[f64], width: usize, [in_all, of_own, of_longest]: [f64; 3]) {
     assert_eq!(got.len(), truth.len(), "{name}");
     let length = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -206,7 +203,6 @@ fn compare(golden: &Golden, key: &str, found: &Found, expected: bool) {
 
 const SIZE: [u32; 2] = [70, 53];
 
-/// Returns two cameras with different poses and lenses.
 fn two_cameras() -> [Camera; 2] {
     let moved = |x: f64, turn: f64, [fx, cx]: [f64; 2]| {
         let mut camera = camera(SIZE[0], SIZE[1]);
@@ -217,7 +213,6 @@ fn two_cameras() -> [Camera; 2] {
     [moved(0.2, -0.1, [80.0, 31.0]), moved(-0.3, 0.15, [65.0, 38.0])]
 }
 
-/// Returns requests of every kind, for the engine and the reference.
 fn requests() -> [(RenderOptions, Drawing); 4] {
     let request = |rgb, alpha, depth: Option<Depth>, antialiased| {
         let background = [0.3, 0.1, 0.6];
@@ -233,7 +228,7 @@ fn requests() -> [(RenderOptions, Drawing); 4] {
     ]
 }
 
-/// Returns random weights of the requested outputs, 0 at pixels that rounding decides.
+/// 0 at pixels that rounding decides.
 fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderOptions) -> Weights {
     let gaussians = reference_gaussians(scene);
     let unstable =
@@ -317,7 +312,6 @@ fn equals_differences_of_needles_from_far_off_and_of_what_is_very_long() {
     }
 }
 
-/// Returns a scene of many tiles, a request, and its weights.
 fn many_tiles(count: usize) -> (Scene, RenderOptions, Vec<f32>) {
     let scene = random_scene(count, 1, 0.2);
     let request = requests()[1].0;

@@ -6,7 +6,6 @@ use zipsplat::kernels::render::{Intersect, TileCounts};
 const GRID: [u32; 2] = [11, 7];
 const CAMERAS: u32 = 2;
 
-/// Returns packed tile sets of pairs: rectangles, masks and empty ones.
 fn tile_sets(pairs: u32) -> Vec<[u32; 3]> {
     let set = |pair: u32| {
         let (x, y) = (pair * 7 % GRID[0], pair * 5 % GRID[1]);
@@ -29,7 +28,6 @@ fn tiles([corner, size, mask]: [u32; 3], camera: u32) -> Vec<u32> {
         .collect()
 }
 
-/// Runs the kernel with these prefix sums; returns tiles, pairs and status.
 fn intersect(sets: &[[u32; 3]], indices: &[u32], sums: &[u32], capacity: u32) -> [Vec<u32>; 3] {
     let mut case = plan();
     let kernel = Intersect {

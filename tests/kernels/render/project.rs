@@ -3,7 +3,7 @@
 use crate::case::*;
 use zipsplat::{kernels::render::Project, stages::render::camera_rows, types::NEAR};
 
-/// Results of the kernel, one per Gaussian and camera, Gaussian-major.
+/// One row per Gaussian and camera, Gaussian-major.
 struct Projection {
     xy_opacities: Vec<[f32; 3]>,
     conics: Vec<[f32; 3]>,

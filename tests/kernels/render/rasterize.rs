@@ -6,7 +6,6 @@ use zipsplat_tests::{reference::render::project::Splat, reference::render::raste
 
 const SIZE: [usize; 2] = [37, 21];
 
-/// Returns ellipses of all sizes around the picture, near to far.
 fn splats() -> Vec<Splat> {
     let wave = |i: usize, step: f64| 0.5 + 0.5 * (i as f64 * step).sin();
     let splat = |i: usize| {

@@ -1,5 +1,3 @@
-//! The command under device failures.
-
 use crate::{doctor::zipsplat, micro, noise};
 use zipsplat::types::write_ply;
 use zipsplat_tests::faults::{DEVICE_LOST, Faults, OUT_OF_DEVICE_MEMORY, OUT_OF_HOST_MEMORY, assert_survives};

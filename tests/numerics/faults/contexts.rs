@@ -1,5 +1,3 @@
-//! The library under device failures.
-
 use crate::{micro, noise};
 use zipsplat::Result;
 use zipsplat_tests::faults::{DEVICE_LOST, Faults, OUT_OF_HOST_MEMORY, assert_survives};

@@ -1,4 +1,2 @@
-//! Device failures at every call.
-
 mod commands;
 mod contexts;

@@ -15,7 +15,6 @@ use zipsplat::{types::poses::read_cloud, types::read_points};
 use zipsplat_tests::architectures::pico;
 use zipsplat_tests::prelude::*;
 
-/// Valid files and a reader.
 struct Parser {
     name: &'static str,
     seeds: Vec<Vec<u8>>,

@@ -1,5 +1,3 @@
-//! Small valid files of every format.
-
 use flate2::Compression;
 use serde_json::json;
 use zip::CompressionMethod;

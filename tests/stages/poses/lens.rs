@@ -6,7 +6,6 @@ use zipsplat_tests::prelude::*;
 
 const SIZE: [u32; 2] = [240, 180];
 const LENS: Intrinsics = Intrinsics { width: SIZE[0], height: SIZE[1], fx: 200.0, fy: 190.0, cx: 118.0, cy: 93.0 };
-/// In pixels.
 const SPOT: f64 = 2.5;
 
 /// OpenCV's formulas.
@@ -106,7 +105,6 @@ fn spots_stand_where_the_pinhole_camera_of_a_colmap_model_sees_them() {
     ];
     let folder = tempfile::tempdir().unwrap();
     for (lens, coefficients, distort) in cases {
-        // One or two focal lengths.
         let fy = if lens.contains("200 118") { 200.0 } else { LENS.fy };
         fs::write(folder.path().join("cameras.txt"), format!("1 {lens} {coefficients}\n")).unwrap();
         fs::write(folder.path().join("images.txt"), "1 1 0 0 0 0 0 0 1 a.png\n\n").unwrap();

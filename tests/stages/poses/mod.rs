@@ -1,5 +1,3 @@
-//! Camera files.
-
 mod colmap;
 mod lens;
 mod realestate;
@@ -11,7 +9,6 @@ use zipsplat_tests::prelude::*;
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 
-/// In general position, with photo names.
 fn cameras() -> (Vec<Camera>, Vec<String>) {
     let orbit = Orbit { center: DVec3::new(0.5, -1.0, 7.0), radius: 3.0 };
     let tilt = orbit.pose(20.0, 40.0);

@@ -1,9 +1,6 @@
-//! Camera files of RealEstate10K.
-
 use super::{LENS, assert_format_error, assert_same_pose, cameras, put_photos};
 use zipsplat_tests::prelude::*;
 
-/// Frames are in `images`.
 fn written(folder: &Path, cameras: &[Camera], spoil: impl Fn(usize, String) -> String) -> std::path::PathBuf {
     let (w, h) = (f64::from(LENS.width), f64::from(LENS.height));
     let lens = [LENS.fx / w, LENS.fy / h, LENS.cx / w, LENS.cy / h].map(|value| format!("{value:?}")).join(" ");
@@ -22,7 +19,6 @@ fn written(folder: &Path, cameras: &[Camera], spoil: impl Fn(usize, String) -> S
 fn frames_are_read_with_the_size_of_their_pictures() {
     let (cameras, _) = cameras();
     let folder = tempfile::tempdir().unwrap();
-    // Picture 3 is missing.
     let names: Vec<String> = (0..7).filter(|i| *i != 3).map(|i| format!("images/{}.png", 33_000 * i)).collect();
     put_photos(folder.path(), &names);
     let poses = Capture::open(written(folder.path(), &cameras, |_, line| line)).unwrap();

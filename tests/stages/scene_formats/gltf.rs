@@ -1,5 +1,3 @@
-//! glTF: nodes, buffers and damage.
-
 use super::{assert_damaged, assert_rotations, assert_within, round_trip, scene};
 use glam::DMat4;
 use serde_json::{Value, json};
@@ -98,7 +96,8 @@ fn buffers_are_found_beside_the_file_and_nowhere_else() {
     file["bufferViews"][0]["buffer"] = 1.into();
     fs::write(&path, file.to_string()).unwrap();
     assert_eq!(Scene::open(&path).unwrap().means, scene(1).means);
-    for uri in ["../b.bin", "/etc/hostname", "http://host/b.bin", "a/../../b.bin", "%2e%2e/b.bin", "", "data:,x"] {
+    let escapes = ["../b.bin", "/etc/hostname", "a/../../b.bin", "%2e%2e/b.bin"];
+    for uri in escapes.into_iter().chain(["http://host/b.bin", "", "data:,x"]) {
         file["buffers"][0]["uri"] = uri.into();
         assert_damaged("b.gltf", file.to_string().as_bytes(), &["buffer 0"]);
     }

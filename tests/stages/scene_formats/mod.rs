@@ -1,5 +1,3 @@
-//! Scene formats: round trips and damage.
-
 mod foreign;
 mod gltf;
 mod packed;

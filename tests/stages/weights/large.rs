@@ -1,5 +1,3 @@
-//! A header beyond 64 KiB.
-
 use super::{assert_same_bits, pico};
 use zipsplat::weights::convert;
 use zipsplat_tests::prelude::*;

@@ -1,5 +1,3 @@
-//! Malformed safetensors files.
-
 use super::{header, pico, pico_weights};
 use zipsplat_tests::prelude::*;
 

@@ -1,5 +1,3 @@
-//! Architectures, seeds and checkpoint files.
-
 mod large;
 mod malformed;
 mod q8;

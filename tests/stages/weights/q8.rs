@@ -1,5 +1,3 @@
-//! Checkpoints of 8-bit weights.
-
 use super::{assert_same_bits, malformed::assert_reason, pico_weights, read};
 use safetensors::{Dtype as FileDtype, SafeTensors};
 use zipsplat::{ops::Q8, reconstruct::Network, weights::Ffn};

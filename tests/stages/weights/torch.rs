@@ -1,5 +1,3 @@
-//! PyTorch checkpoints, built opcode by opcode.
-
 use super::{assert_same_bits, malformed::assert_reason, pico, pico_weights, read};
 use zip::CompressionMethod;
 use zipsplat::weights::convert;

@@ -1,5 +1,3 @@
-//! Checkpoints of the reference's trainer.
-
 use super::{assert_same_bits, pico_weights, read, write_zeros};
 use zip::CompressionMethod;
 use zipsplat::weights::{RECIPES, VARIANTS, convert};

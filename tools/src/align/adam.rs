@@ -53,9 +53,7 @@ pub fn align(
     Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
 }
 
-/// Alignment state.
 pub struct Descent {
-    /// Current camera.
     pub camera: Camera,
     adam: PoseAdam,
     /// `[height, width, 3]`.
@@ -66,7 +64,7 @@ pub struct Descent {
 }
 
 impl Descent {
-    /// Starts an alignment. `truth` is the photo, `[height][width][rgb]`, at the camera's size.
+    /// `truth` is the photo, `[height][width][rgb]`, at the camera's size.
     ///
     /// # Errors
     /// [`Error::Argument`] if the renderer has no scene.
@@ -125,7 +123,7 @@ const SEEN: RenderOptions = RenderOptions {
     layout: None,
 };
 
-/// Mean absolute difference; its gradient is `[pixels, 4]` by red, green, blue and alpha.
+/// Mean absolute difference, and its gradient `[pixels, 4]` by red, green, blue and alpha.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
     let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
     let differences: Vec<f64> = differences.collect();

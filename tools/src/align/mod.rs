@@ -40,7 +40,6 @@ const TOLERANCE: f64 = 1e-4;
 /// Iterations per level, of at most 7 renderings.
 const PATIENCE: usize = 12;
 
-/// Alignment method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Method {
     /// Least squares, coarse to fine, near the initial camera
@@ -54,13 +53,13 @@ impl Method {
     /// Returns the finished fraction at a step.
     pub fn fraction(self, step: usize) -> f64 {
         match self {
-            // Unknown: the number of renderings depends on the content.
+            // The number of renderings depends on the content.
             Self::LevenbergMarquardt => 0.0,
             Self::Adam => (step as f64 / adam::STEPS as f64).min(1.0),
         }
     }
 
-    /// Aligns a camera; only Adam uses LPIPS. `check` runs before each step.
+    /// Only Adam uses LPIPS. `check` runs before each step.
     ///
     /// # Errors
     /// As [`align`].
@@ -79,9 +78,7 @@ impl Method {
     }
 }
 
-/// Result of [`align`].
 pub struct Aligned {
-    /// Aligned camera.
     pub camera: Camera,
     /// Rendering from the camera, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<f32>,
@@ -91,11 +88,9 @@ pub struct Aligned {
     pub turn: f64,
     /// Distance from the initial camera, in the unit of the poses.
     pub shift: f64,
-    /// Reason to distrust the camera.
     pub doubt: Option<Doubt>,
 }
 
-/// Reason for an unreliable alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Doubt {
@@ -107,9 +102,9 @@ pub enum Doubt {
     Color,
 }
 
-/// Minimizes the squared error between the rendering of `camera` and `photo`, of equal size. The
-/// scene should be at a distance of about 1. Intrinsics stay fixed. The error is divided by the
-/// mean alpha, so holes do not count.
+/// Minimizes the squared error, divided by the mean alpha so that holes do not count, between the
+/// rendering of `camera` and `photo`, of equal size. The scene should be at a distance of about 1.
+/// Intrinsics stay fixed.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.
@@ -179,7 +174,6 @@ fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     })
 }
 
-/// Returns rotation (radians) and shift on the first camera's axes.
 fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     let movement = to.pose.relative_to(&from.pose);
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]

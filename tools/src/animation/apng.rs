@@ -1,5 +1,3 @@
-//! Animated PNG, lossless.
-
 use super::{Encoder, failed};
 use crate::{outputs::MADE_BY, session::Stage};
 use png::{BitDepth, ColorType, EncodingError, Writer};

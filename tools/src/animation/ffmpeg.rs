@@ -50,7 +50,6 @@ impl Ffmpeg {
         Ok(Self { program: program.into(), child, messages, file })
     }
 
-    /// Returns ffmpeg's message, or `reason`.
     fn failure(&mut self, reason: String) -> Error {
         let messages = self.messages.take().and_then(|messages| messages.join().ok()).unwrap_or_default();
         failure(&self.program, &messages, reason)

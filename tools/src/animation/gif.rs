@@ -1,5 +1,3 @@
-//! Animated GIF with 256 colors per picture.
-
 use super::{Encoder, failed, side};
 use crate::{outputs::MADE_BY, session::Stage};
 use gif::{Frame, Repeat};

@@ -1,5 +1,3 @@
-//! Animations: built-in GIF and animated PNG, MP4 by an installed ffmpeg.
-
 mod apng;
 mod ffmpeg;
 mod gif;
@@ -96,7 +94,6 @@ fn failed(path: &Path) -> impl Fn(Box<dyn std::error::Error + Send + Sync>) -> E
     move |error| Error::io(path, std::io::Error::other(error))
 }
 
-/// Checks a format's narrower range.
 fn side<T: TryFrom<u32>>(side: u32, format: impl Display) -> Result<T> {
     T::try_from(side).map_err(|_| Error::argument(format!("size of a {format}"), side, "fewer pixels a side"))
 }

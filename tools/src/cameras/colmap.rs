@@ -17,7 +17,6 @@ const BLOCK: u32 = 8;
 
 pub struct Colmap {
     program: PathBuf,
-    /// True if the program is Python with pycolmap.
     python: bool,
     version: String,
 }
@@ -49,7 +48,6 @@ pub enum Matching {
     Sequential,
 }
 
-/// COLMAP's steps, in order.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     Features,
@@ -73,15 +71,11 @@ pub struct Mapping {
 
 #[derive(Default)]
 pub struct ColmapOutput {
-    /// Number of features per photo.
     pub features: Vec<usize>,
-    /// Matched pairs.
     pub pairs: Option<usize>,
-    /// COLMAP found no initial pair.
     no_start: bool,
     /// The disk was full; COLMAP 3 reports that without failing.
     pub no_room: bool,
-    /// The next line has the number of pairs.
     pairs_follow: bool,
     /// Last lines other than progress.
     last: Vec<String>,
@@ -118,7 +112,6 @@ impl fmt::Display for Colmap {
 }
 
 impl Colmap {
-    /// The requested program, else `colmap`, else pycolmap of `python3`.
     pub fn of(searching: &Searching, stage: &Stage<'_>) -> Result<Self> {
         let tried = match (&searching.python, &searching.colmap) {
             (Some(python), _) => Self::pycolmap(python, stage),
@@ -165,8 +158,7 @@ impl Colmap {
         &self.program
     }
 
-    /// `folder` has `images` and gets `database.db`; models go to `models`. Uses neither GPU nor
-    /// display.
+    /// `folder` has `images` and gets `database.db`; models go to `models`.
     pub fn command(
         &self,
         step: Step,
@@ -281,7 +273,6 @@ impl ColmapOutput {
         far
     }
 
-    /// Returns true if another attempt may succeed.
     pub fn found_nothing(&mut self, step: Step, status: ExitStatus) -> bool {
         let no_start = std::mem::take(&mut self.no_start);
         matches!(step, Step::Cameras(_)) && no_start && status.code() == Some(1)

@@ -1,5 +1,3 @@
-//! Camera estimation by COLMAP or Depth Anything 3.
-
 use super::{
     colmap::{Colmap, ColmapOutput, Mapping, Matching, Searching, Step},
     work::Work,
@@ -36,7 +34,6 @@ const COLMAP: &str = "colmap";
 /// Earlier spelling of [`COLMAP`].
 const FIND: &str = "find";
 const DA3: &str = "da3";
-/// Default longer side of the photos for COLMAP.
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
@@ -68,7 +65,6 @@ pub enum Finder {
     Da3,
 }
 
-/// Cameras with their estimation, if any.
 pub struct KnownCameras {
     pub poses: Capture,
     pub found: Option<EstimatedCameras>,
@@ -76,11 +72,9 @@ pub struct KnownCameras {
 
 /// Owns the temporary points file.
 pub struct EstimatedCameras {
-    /// Results of the network, if one was used.
     pub predicted: Option<Box<PredictedViews>>,
     pub lost: Vec<PathBuf>,
     pub count: usize,
-    /// Sizes of the smaller components.
     pub groups: Vec<usize>,
     pub points: usize,
     /// Median focal length over the photo's longer side.
@@ -228,7 +222,6 @@ impl<'a> Search<'a> {
             let why = "COLMAP found no room left for its files; TMPDIR says where they go";
             return Err(process::failure(&std::env::temp_dir(), why, status));
         }
-        // Finding nothing is no failure.
         let found_nothing = output.found_nothing(step, status);
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
@@ -254,7 +247,6 @@ impl<'a> Search<'a> {
                 None => {}
             }
             let mut models = models_of(&models)?;
-            // Stable: the first of equal groups.
             models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
             let as_many = joined(&models) == joined(&best) && likely(&models) && !likely(&best);
             if joined(&models) > joined(&best) || as_many {

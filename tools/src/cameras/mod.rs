@@ -1,5 +1,3 @@
-//! Cameras: read from files, estimated, and along paths around a scene.
-
 mod colmap;
 mod find;
 mod network;

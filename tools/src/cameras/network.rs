@@ -1,5 +1,3 @@
-//! Camera estimation by Depth Anything 3.
-
 use super::find::{EstimatedCameras, Finding, focal};
 use crate::{
     depth::{POINTS, PredictorOptions, check_finds_cameras},

@@ -1,5 +1,3 @@
-//! Render cameras: from files, and along paths around a scene.
-
 use super::Similarity;
 use crate::options::Size;
 use clap::{ArgGroup, Args};
@@ -28,9 +26,7 @@ const SAME_WORLD: f64 = 0.1;
 const ALIGNED: f64 = 0.3;
 /// Largest default side of a path's pictures.
 const SIDE: u32 = 1280;
-/// Default field of view in degrees.
 const FOV: f64 = 60.0;
-/// Size for cameras without one.
 const SIZE: Size = Size(252, 252);
 
 #[derive(Args)]
@@ -52,7 +48,7 @@ pub struct CameraArgs {
     /// From the first view's camera straight toward the scene
     #[arg(long)]
     dolly: bool,
-    /// Once around the scene: about the mean up of the cameras of a file, as of --cameras, or of
+    /// Once around the scene, about the mean up of the cameras of a file, as of --cameras, or of
     /// the photos that it was made from
     #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
     orbit: Option<Option<PathBuf>>,
@@ -60,7 +56,7 @@ pub struct CameraArgs {
     #[arg(long)]
     wiggle: bool,
     /// Return to the first camera at the end of --spline
-    // Conflicts: clap accepts an option that requires one of several paths with any other.
+    // Clap accepts an option that requires one of several paths with any other.
     #[arg(long = "loop", conflicts_with_all = ["cameras", "ellipse", "dolly", "orbit", "wiggle"])]
     closed: bool,
     /// Fraction of the distance to the scene's center that --dolly covers; negative: backward
@@ -70,8 +66,8 @@ pub struct CameraArgs {
     /// Zoom during --dolly so that the scene's center keeps its apparent size
     #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     dolly_zoom: bool,
-    /// Photo whose camera is the scene's world: of reconstruct, the first photo [default: that of
-    /// the scene's file, if the camera file has it, else the cameras' world]
+    /// Photo whose camera is the scene's world [default: that of the scene's file, if the camera
+    /// file has it, else the cameras' world]
     #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
     relative_to: Option<PathBuf>,
     /// Number of pictures of a path
@@ -140,7 +136,6 @@ impl CameraArgs {
         Ok((path.into_iter().map(placed).collect(), notes))
     }
 
-    /// Returns a reason for pictures without Gaussians.
     pub fn doubt(&self) -> &'static str {
         let file = matches!(self.orbit, Some(Some(_)))
             || self.cameras.is_some()
@@ -156,7 +151,6 @@ impl CameraArgs {
         }
     }
 
-    /// Returns the options' lens, else that of the first photo `own`.
     fn lens(&self, own: Option<&Intrinsics>) -> Result<Intrinsics> {
         let size = self.size.or(own.map(shown)).unwrap_or(SIZE);
         if let (Some(own), None) = (own, self.fov) {
@@ -197,7 +191,7 @@ impl CameraArgs {
     }
 }
 
-/// Maps a file's cameras to the scene's world, with a note. `world` is the scene file's.
+/// Maps a file's cameras to the scene's world, with a note.
 pub fn to_scene(
     relative_to: Option<&Path>,
     poses: &Capture,
@@ -244,7 +238,7 @@ pub fn to_scene(
 }
 
 /// Returns `None` if the landmarks agree after `given` or are absent; otherwise the similarity by
-/// pose and distance, or an error if none fits. Both name the photos.
+/// pose and distance, or an error. Both name the photos.
 fn aligned(given: &Pose, poses: &Capture, world: &World) -> Option<Result<(Similarity, String), String>> {
     let [(first, from), (last, to)] = &world.landmarks[..] else { return None };
     let [a, b] = [first, last].map(|name| origin_pose(poses, Path::new(name)).ok());
@@ -282,7 +276,6 @@ fn level(pose: &Pose, up: DVec3) -> Pose {
     Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), ..*pose }
 }
 
-/// Keeps the given order unless nearest neighbors are shorter by [`DETOUR`].
 fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {
     let length = |cameras: &[Camera]| -> f64 { cameras.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum() };
     let (mut chain, mut left) = (vec![cameras[0]], cameras[1..].to_vec());
@@ -311,7 +304,6 @@ fn origin_pose(poses: &Capture, photo: &Path) -> Result<Pose> {
     Ok(poses.for_photos(&[photo])?[0].pose)
 }
 
-/// Returns a size with sides of at most [`SIDE`].
 fn shown(intrinsics: &Intrinsics) -> Size {
     let (width, height) = (intrinsics.width, intrinsics.height);
     let scale = f64::from(SIDE) / f64::from(width.max(height));

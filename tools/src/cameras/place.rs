@@ -1,5 +1,3 @@
-//! Files of estimated cameras.
-
 use super::EstimatedCameras;
 use crate::{
     outputs::{Overwrite, check_folder, make_folder},
@@ -111,7 +109,6 @@ impl ModelOption {
     }
 }
 
-/// Relative to a folder above it, else whole.
 pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {
     let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
     let (folder, photo) = (whole(folder)?, whole(photo)?);

@@ -27,7 +27,7 @@ impl Similarity {
 
     /// Returns the similarity from pairs of a camera in another world and here, and the residual
     /// over their spread. Rotations are averaged; scale and translation are least squares. `None`
-    /// if no scale follows, for coincident or unrelated positions.
+    /// for coincident or unrelated positions.
     pub fn between(pairs: &[(Camera, Camera)]) -> Option<(Self, f64)> {
         let center = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
         let (from, to) = (center(|(source, _)| source.pose.translation), center(|(_, target)| target.pose.translation));
@@ -61,8 +61,7 @@ impl Similarity {
     }
 }
 
-/// Returns the mean of similar rotations by quaternions: collinear positions would leave one
-/// undetermined.
+/// Averages quaternions: collinear positions would leave a rotation undetermined.
 fn mean_turn(turns: impl Iterator<Item = DMat3>) -> DMat3 {
     let mut sum = DVec4::ZERO;
     for turn in turns {

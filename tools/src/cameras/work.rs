@@ -1,5 +1,3 @@
-//! COLMAP's working folder.
-
 use crate::{outputs::make_folder, scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
@@ -18,7 +16,6 @@ use zipsplat::{
 /// Under short names for COLMAP's files.
 pub(super) struct Work {
     pub folder: Scratch,
-    /// With its copy's name.
     pub photos: Vec<(PathBuf, String)>,
 }
 
@@ -87,7 +84,6 @@ fn kind(photo: &Path) -> Result<Option<&'static str>> {
     })
 }
 
-/// Copies if the system cannot link.
 fn link(photo: &Path, to: &Path) -> Result<()> {
     let failed = |source| Error::io(photo, source);
     let photo = photo.canonicalize().map_err(failed)?;

@@ -17,12 +17,12 @@ use zipsplat::Result;
 ///
 /// Runs COLMAP 3 or 4, or pycolmap, on the CPU. Writes transforms.json with the lens distortion,
 /// points.ply for `refine --init points`, and colmap.log. Keeps the largest component of connected
-/// photos. If it has less than four fifths of the photos (of up to 12 photos: not all), retries up
-/// to twice with other seeds and looser thresholds.
+/// photos. Retries up to twice, with other seeds and looser thresholds, if that has less than four
+/// fifths of the photos (of up to 12 photos: not all).
 ///
-/// --method da3 uses Depth Anything 3, which handles two photos, little overlap and little texture.
-/// It needs --weights but no other program, and is less accurate where COLMAP succeeds. points.ply
-/// then has all confident pixels, in the network's unit.
+/// --method da3 handles two photos, little overlap and little texture, but is less accurate where
+/// COLMAP succeeds. It needs --weights and no other program. points.ply then has all confident
+/// pixels, in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json

@@ -1,5 +1,3 @@
-//! The commands, one file each.
-
 mod bench;
 mod cameras;
 mod convert;

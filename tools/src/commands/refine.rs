@@ -82,7 +82,6 @@ struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
     world: Option<World>,
-    /// Similarity from the given cameras' world.
     to_scene: Similarity,
 }
 
@@ -130,7 +129,6 @@ impl Refine {
         }
     }
 
-    /// Maps cameras and points to the scene's world.
     fn start(
         &self,
         session: &mut Session<'_>,

@@ -25,8 +25,8 @@ use zipsplat::{
 /// Render a scene along a camera path
 ///
 /// Writes 000.png, 001.png and so on, and a contact sheet, contact.png. Removes surplus pictures of
-/// an earlier run; other files stay. The scene's world is the first photo's camera (x right, y
-/// down, z forward), or that of the cameras it was reconstructed with.
+/// an earlier run. The scene's world is the first photo's camera (x right, y down, z forward), or
+/// that of the cameras it was reconstructed with.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
@@ -89,7 +89,7 @@ pub struct Render {
     ffmpeg: PathBuf,
 }
 
-/// Full width at half maximum of a Gaussian, in standard deviations.
+/// Full width at half maximum, in standard deviations.
 const WIDTH: f64 = 2.354_820_045;
 
 fn show_points(scene: &mut Scene, width: f64) {
@@ -169,7 +169,6 @@ impl Render {
         self.report(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
-    /// Returns the requested size, if any.
     pub fn size(&self) -> Option<Size> {
         self.path.size()
     }

@@ -135,7 +135,6 @@ impl Scene {
             write_atomic(path, write)
         };
         match result {
-            // The reader closed the pipe.
             Err(Error::Io { source, .. }) if source.kind() == ErrorKind::BrokenPipe => {}
             Err(Error::Io { source, .. }) if source.kind() == ErrorKind::Interrupted => return Err(Error::Cancelled),
             other => other?,

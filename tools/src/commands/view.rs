@@ -30,11 +30,11 @@ use zipsplat::{
 /// View scenes, or scenes made from photos, in a browser
 ///
 /// A slider switches between several scene files. Photos are reconstructed at any ratio, and
-/// refined live with --refine. -o writes a self-contained page that needs no network. Otherwise the
-/// command serves the page to anyone with the printed address until Ctrl-C.
+/// refined live with --refine. -o writes a self-contained page. Otherwise the command serves the
+/// page to anyone with the printed address until Ctrl-C.
 ///
-/// With weights of Depth Anything 3, as in `reconstruct`, each confident pixel becomes a Gaussian,
-/// at the --ratios. For their refinement use `reconstruct --refine`.
+/// With weights of Depth Anything 3, each confident pixel becomes a Gaussian, at the --ratios;
+/// refine these with `reconstruct --refine`.
 #[derive(Args)]
 #[command(
     mut_args(with_cameras),
@@ -63,8 +63,8 @@ pub struct View {
     /// Store scenes as PLY instead of SPZ: exact, up to ten times as large
     #[arg(long, requires = "output")]
     lossless: bool,
-    /// Cameras to show, in the first scene's world, in any format of render --cameras; for photos,
-    /// their known cameras, or colmap to estimate them
+    /// Cameras to show, in the first scene's world, as for render --cameras; for photos, their
+    /// known cameras, or colmap to estimate them
     #[arg(long, value_name = "PATH|colmap")]
     cameras: Option<PathBuf>,
     /// Folder of photos for the overlay [default: that of the camera file; with -o, none]. A
@@ -87,7 +87,6 @@ pub struct View {
     from: FromPhotos,
 }
 
-/// Longest side of embedded photos, in pixels.
 const SMALL: u32 = 640;
 
 impl View {

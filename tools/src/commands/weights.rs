@@ -79,7 +79,6 @@ struct Where {
   HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE  as in other programs
   ZIPSPLAT_CACHE  the cache folder [default: zipsplat in the user's cache]")]
 struct Get {
-    /// Name, such as zipsplat or da3-small
     name: String,
     /// Accept license and size without confirmation
     #[arg(long, short)]
@@ -98,7 +97,7 @@ struct Get {
     sha256: Option<String>,
 }
 
-/// Largest announced size relative to the known one, against a wrong file or a full disk.
+/// Limit of the announced size over the known one, against a wrong file or a full disk.
 const MOST_TIMES: u64 = 2;
 
 fn parse_seconds(text: &str) -> Result<Duration, String> {
@@ -244,7 +243,6 @@ fn lock(session: &Session<'_>, released: &Released, folder: &Path) -> Result<Loc
     Ok(session.stage("wait for another process", |stage| Lock::new(&released.base(folder), stage))?.0)
 }
 
-/// Accepts the hub client's values.
 fn is_offline() -> bool {
     let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
     ["1", "true", "yes", "on"].contains(&value.as_str())

@@ -1,5 +1,3 @@
-//! Requests to a model hub and its storage.
-
 use std::{env, io, path::PathBuf, time::Duration};
 use ureq::{
     Agent, Body,
@@ -13,7 +11,6 @@ use zipsplat::{Error, Result};
 
 const HUB: &str = "https://huggingface.co";
 const HOPS: usize = 10;
-/// Variables that override the built-in root certificates with a file.
 const ROOTS: [&str; 2] = ["SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
 #[derive(Debug)]
@@ -163,7 +160,9 @@ fn redirected(from: &str, location: &str) -> Option<String> {
     let (scheme, authority) = origin(from)?;
     let to = match location {
         absolute if origin(absolute).is_some() => absolute.to_owned(),
-        path if path.starts_with('/') && !path.starts_with("//") => format!("{scheme}://{authority}{path}"),
+        path if path.starts_with('/') && !path.starts_with("//") => {
+            format!("{scheme}://{authority}{path}")
+        }
         _ => return None,
     };
     let (new_scheme, _) = origin(&to)?;
@@ -209,12 +208,18 @@ mod tests {
     #[test]
     fn redirects_stay_encrypted() {
         let hub = "https://hub.example/a/b";
-        assert_eq!(redirected(hub, "/c?d").as_deref(), Some("https://hub.example/c?d"));
-        assert_eq!(redirected(hub, "https://cdn.example/x").as_deref(), Some("https://cdn.example/x"));
-        for location in ["http://cdn.example/x", "//cdn.example/x", "ftp://cdn.example/x", "x", ""] {
-            assert_eq!(redirected(hub, location), None, "{location}");
+        for (from, location, to) in [
+            (hub, "/c?d", Some("https://hub.example/c?d")),
+            (hub, "https://cdn.example/x", Some("https://cdn.example/x")),
+            (hub, "http://cdn.example/x", None),
+            (hub, "//cdn.example/x", None),
+            (hub, "ftp://cdn.example/x", None),
+            (hub, "x", None),
+            (hub, "", None),
+            ("http://127.0.0.1:1/a", "/b", Some("http://127.0.0.1:1/b")),
+        ] {
+            assert_eq!(redirected(from, location).as_deref(), to, "{location}");
         }
-        assert_eq!(redirected("http://127.0.0.1:1/a", "/b").as_deref(), Some("http://127.0.0.1:1/b"));
     }
 
     #[test]

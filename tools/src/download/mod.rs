@@ -1,5 +1,3 @@
-//! Resumable, verified downloads from a model hub.
-
 mod http;
 mod partial;
 
@@ -58,7 +56,7 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
 }
 
 /// Downloads to [`Promise::path`]. The caller holds its [`Lock`]. After a network failure, another
-/// call resumes. `notes` gets messages for the user.
+/// call resumes.
 pub fn fetch(
     client: &Client,
     promise: &Promise,
@@ -115,7 +113,6 @@ impl Tries {
 fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
     let (send, done) = channel();
     std::thread::spawn(move || {
-        // The receiver is gone after cancellation.
         let _ = send.send(work());
     });
     loop {
@@ -208,7 +205,6 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
     }
 }
 
-/// Returns the answer's file offset.
 fn check_answer(
     promise: &Promise,
     info: &FileInfo,

@@ -1,5 +1,3 @@
-//! Partial download with its promised hash and size.
-
 use super::POLL;
 use crate::session::Stage;
 use serde::{Deserialize, Serialize};
@@ -28,7 +26,6 @@ impl Promise {
         &self.sha256[..TAG]
     }
 
-    /// Adds the tag to the name of `base`.
     pub fn path(&self, base: &Path) -> PathBuf {
         let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
         base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), self.tag(), part(base.extension())))

@@ -9,7 +9,6 @@ use zipsplat::{
 const STYLE: &str = include_str!("report.css");
 const QUALITY: u8 = 85;
 
-/// Begins a page, up to its heading.
 pub fn begin(title: &str) -> String {
     let title = escape(title);
     format!(
@@ -31,7 +30,6 @@ pub fn data_url(jpeg: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg))
 }
 
-/// Escapes text for content and quoted attributes.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

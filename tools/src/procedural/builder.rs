@@ -1,5 +1,3 @@
-//! Primitives and objects of rooms, tables and streets.
-
 use std::f32::consts::FRAC_PI_2;
 
 use glam::{Mat3A, Vec2, Vec3A};
@@ -50,7 +48,7 @@ impl Builder<'_> {
         );
     }
 
-    /// Its y axis is up if possible.
+    /// The y axis is up if possible.
     pub fn rectangle(&mut self, center: Vec3A, half: [f32; 2], normal: Vec3A, material: Material) {
         self.put(Shape::Rectangle { half: Vec2::from(half) }, center, facing(normal), material);
     }

@@ -27,7 +27,6 @@ impl Aabb {
         side.x * side.y + side.y * side.z + side.z * side.x
     }
 
-    /// Returns the entry distance before `limit`.
     fn enter(&self, origin: Vec3A, inverse: Vec3A, limit: f32) -> Option<f32> {
         let (a, b) = ((self.low - origin) * inverse, (self.high - origin) * inverse);
         let (enter, leave) = (a.min(b).max_element().max(0.0), a.max(b).min_element().min(limit));

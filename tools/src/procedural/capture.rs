@@ -1,5 +1,3 @@
-//! Pictures of procedural scenes.
-
 use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3, Vec3A};
@@ -20,7 +18,6 @@ const PATHS: usize = 20;
 const PLACES: u64 = 1000;
 /// Standard deviation of a view's brightness, 0..1.
 const LEAST_CONTRAST: f32 = 0.05;
-/// Mean of a view.
 const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
 /// Of the longer side in degrees, skewed toward narrow.
 const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
@@ -30,17 +27,12 @@ const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125
 /// Also distinct from the central ray.
 const BESIDE_CENTER: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 
-/// Cancellation check.
 pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// Settings of every scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Pictures per scene.
     pub views: usize,
-    /// Picture width.
     pub width: u32,
-    /// Picture height.
     pub height: u32,
     /// Four rays for every pixel, not only at edges.
     pub supersample: bool,
@@ -50,13 +42,9 @@ pub struct Options {
 
 /// Place and camera path, in meters.
 pub struct Setup {
-    /// Seed.
     pub seed: u64,
-    /// Kind of place.
     pub family: Family,
-    /// Kind of path.
     pub path: PathKind,
-    /// Scene contents.
     pub world: World,
     lens: Lens,
     views: Vec<View>,
@@ -68,17 +56,12 @@ pub struct Setup {
 /// Photos of a scene, in the first camera's frame, scaled to a median point distance of 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
-    /// Seed.
     pub seed: u64,
-    /// Kind of place.
     pub family: Family,
-    /// Kind of path.
     pub path: PathKind,
     /// Meters per unit of length.
     pub meters: f64,
-    /// Camera of each view.
     pub cameras: Vec<Camera>,
-    /// Photo of each view.
     pub images: Vec<Image>,
     /// `[views][height][width]` z at pixel centers; 0 in the sky.
     pub depths: Vec<Vec<f32>>,
@@ -87,8 +70,6 @@ pub struct Capture {
 }
 
 impl Options {
-    /// Checks the settings.
-    ///
     /// # Errors
     /// [`Error::Argument`] without views, for a side of 0 or beyond 4096 pixels, or an aspect ratio
     /// beyond 8.
@@ -129,10 +110,9 @@ impl Setup {
 
     fn try_place(seed: u64, place: u64, options: &Options, photos: &Photos) -> Option<Self> {
         let mut rng = Rng::new(seed, 2 * place);
-        // By seed only, so retries keep the family distribution.
+        // By seed only, so retries keep the distribution of families and paths.
         let family = Rng::new(seed, u64::MAX).pick(&Family::ALL);
         let (world, stage) = family.build(Rng::new(seed, 2 * place + 1), photos);
-        // Drawn once, so retries keep the path distribution.
         let path = rng.pick(stage.paths);
         for attempt in 0..PATHS {
             let span = 1.0 - 0.8 * attempt as f32 / PATHS as f32;
@@ -162,8 +142,6 @@ impl Setup {
         self.views.iter().map(pose).collect()
     }
 
-    /// Renders the photos.
-    ///
     /// # Errors
     /// As `go_on`, called for every row of pixels.
     pub fn shoot(&self, photos: &Photos, go_on: GoOn<'_>) -> Result<Capture> {
@@ -284,7 +262,7 @@ fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut 
 }
 
 impl Capture {
-    /// Returns the world point of a pixel; `None` in the sky.
+    /// `None` in the sky.
     pub fn point(&self, view: usize, x: u32, y: u32) -> Option<DVec3> {
         let Camera { intrinsics: i, pose } = &self.cameras[view];
         let z = f64::from(self.depths[view][(y * i.width + x) as usize]);

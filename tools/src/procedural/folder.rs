@@ -1,5 +1,3 @@
-//! Folder of a capture, in nerfstudio's layout.
-
 use std::path::{Path, PathBuf};
 
 use serde_json::json;

@@ -58,12 +58,10 @@ impl HeightField {
         2.0 * self.half_side / self.cells as f32
     }
 
-    /// Returns the cells along a side.
     pub fn cells(&self) -> usize {
         self.cells
     }
 
-    /// Returns the grid point in column `i` and row `j`.
     pub fn corner(&self, i: usize, j: usize) -> Vec3A {
         let xy = Vec2::new(i as f32, j as f32) * self.step() - self.half_side;
         xy.extend(self.heights[j * (self.cells + 1) + i]).into()
@@ -186,7 +184,6 @@ impl Walk {
         if x < y { (x, 0) } else { (y, 1) }
     }
 
-    /// Possibly outside.
     fn cell(&self, axis: usize, direction: Vec2, t: f32) -> isize {
         ((self.origin[axis] + direction[axis] * t - self.low) / self.step).floor() as isize
     }

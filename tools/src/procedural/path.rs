@@ -1,5 +1,3 @@
-//! Realistic camera paths.
-
 use std::f32::consts::{PI, TAU};
 use std::fmt;
 
@@ -7,7 +5,6 @@ use glam::{Mat3A, Vec3A};
 
 use super::rng::Rng;
 
-/// Motion of a photographer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PathKind {
@@ -36,9 +33,7 @@ impl fmt::Display for PathKind {
 }
 
 impl PathKind {
-    /// All kinds.
     pub const ALL: [Self; 5] = [Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
-    /// For unrestricted scenes, mostly orbits.
     pub(super) const ALL_AROUND: [Self; 7] =
         [Self::Orbit, Self::Orbit, Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
 }
@@ -57,7 +52,6 @@ pub(super) struct Stage {
     pub paths: &'static [PathKind],
 }
 
-/// In meters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
     pub eye: Vec3A,

@@ -18,11 +18,8 @@ const PERMISSIVE: &str = "permissive";
 /// Entry of a texture folder's `manifest.json`; other fields are ignored.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Crop {
-    /// Name in the folder.
     pub file: String,
-    /// Source of the photo.
     pub repo: String,
-    /// Name of the photo's license.
     #[serde(alias = "licence")]
     pub license: String,
     /// License class; only `permissive` crops are used.
@@ -30,7 +27,6 @@ pub struct Crop {
     pub license_class: String,
 }
 
-/// Photo crops with their mipmaps.
 #[derive(Default)]
 pub struct Photos {
     crops: Vec<Crop>,
@@ -50,8 +46,8 @@ impl Photos {
     /// Reads the permissively licensed crops of a folder's `manifest.json`.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the manifest and the pictures; [`Error::Format`]
-    /// without permissive crops, or for one that is not square.
+    /// [`Error::Io`], [`Error::Format`]; the latter also without permissive crops, or for one that
+    /// is not square.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);
@@ -73,7 +69,6 @@ impl Photos {
         Ok(Self { crops, pyramids })
     }
 
-    /// Returns the crops in manifest order.
     pub fn crops(&self) -> &[Crop] {
         &self.crops
     }

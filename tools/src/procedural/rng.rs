@@ -2,7 +2,6 @@
 
 use zipsplat::random::Random;
 
-/// Distributions of a random stream.
 pub(super) struct Rng(Random);
 
 impl Rng {
@@ -43,7 +42,6 @@ impl Rng {
         low + self.bits() as usize % (high - low + 1)
     }
 
-    /// From a nonempty list.
     pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.bits() as usize % choices.len()]
     }

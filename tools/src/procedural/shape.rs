@@ -15,18 +15,11 @@ const TORUS_STEPS: usize = 96;
 #[derive(Clone)]
 pub enum Shape {
     /// All `|x_i| <= half_i`.
-    Box {
-        /// Half of each side.
-        half: Vec3A,
-    },
+    Box { half: Vec3A },
     /// `|x / radii| <= 1`.
-    Ellipsoid {
-        /// Half axes.
-        radii: Vec3A,
-    },
+    Ellipsoid { radii: Vec3A },
     /// Around z, with two end discs.
     Cylinder {
-        /// Radius of the discs.
         radius: f32,
         /// Half the distance between the discs.
         half_height: f32,
@@ -39,22 +32,16 @@ pub enum Shape {
         minor: f32,
     },
     /// In the plane z = 0, two-sided.
-    Rectangle {
-        /// Half of each side.
-        half: Vec2,
-    },
+    Rectangle { half: Vec2 },
     /// Triangles over a grid in x and y.
     HeightField(Arc<HeightField>),
 }
 
-/// Shape with pose and material.
 #[derive(Clone)]
 pub struct Primitive {
-    /// Surface.
     pub shape: Shape,
     /// World from local axes.
     pub rotation: Mat3A,
-    /// Local origin in the world.
     pub center: Vec3A,
     pub(super) to_local: Mat3A,
     pub(super) material: Material,

@@ -37,27 +37,19 @@ const FORMAT: u32 = 1;
 /// Per thread in a batch; the writer holds another batch.
 const BATCH: u64 = 4;
 
-/// Stream header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
     /// Number of scenes; 0 until the stream ends.
     pub scenes: u64,
-    /// V.
     pub views: u32,
-    /// H.
     pub height: u32,
-    /// W.
     pub width: u32,
 }
 
-/// Decoded scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
-    /// Seed of the scene.
     pub seed: u64,
-    /// Kind of place.
     pub family: Family,
-    /// Kind of path.
     pub path: PathKind,
     /// `[V]` fx, fy, cx, cy.
     pub intrinsics: Vec<[f32; 4]>,
@@ -72,16 +64,13 @@ pub struct Record {
 }
 
 impl Header {
-    /// Returns the bytes of one scene.
     pub fn scene_bytes(&self) -> usize {
         let [v, h, w] = [self.views, self.height, self.width].map(|n| n as usize);
         16 + v * (16 + 48 + 4 * v) + v * h * w * 5
     }
 
-    /// Reads and checks magic and format.
-    ///
     /// # Errors
-    /// `InvalidData` for another format; those of the reader.
+    /// `InvalidData` for another magic or format; those of the reader.
     pub fn read(mut from: impl Read) -> Result<Self> {
         let magic: [u8; 8] = take(&mut from)?;
         let format = u32::from_le_bytes(take(&mut from)?);
@@ -105,8 +94,6 @@ impl Header {
 }
 
 impl Record {
-    /// Reads the next scene.
-    ///
     /// # Errors
     /// `UnexpectedEof` at the end of the stream, `InvalidData` for an index out of range.
     pub fn read(header: &Header, mut from: impl Read) -> Result<Self> {
@@ -165,7 +152,6 @@ pub fn write(
             while next < seeds.end {
                 let end = seeds.end.min(next.saturating_add(batch));
                 let batch = (next..end).into_par_iter().map(make).collect();
-                // The receiver is gone after a write error or stop.
                 if sender.send(batch).is_err() {
                     break;
                 }

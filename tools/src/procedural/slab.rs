@@ -1,5 +1,3 @@
-//! Rays and boxes.
-
 use glam::Vec3A;
 
 /// Kay and Kajiya's slabs. For rays along a face, min and max drop NaN.

@@ -9,7 +9,6 @@ impl Capture {
         self.splats_of(0..self.images.len())
     }
 
-    /// Returns the Gaussians of selected photos.
     pub fn splats_of(&self, views: impl Iterator<Item = usize>) -> Scene {
         let mut scene = Scene { sh_degree: 0, ..Scene::default() };
         views.for_each(|i| add_view(&mut scene, &self.cameras[i], &self.images[i], &self.depths[i]));

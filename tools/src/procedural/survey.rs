@@ -5,7 +5,6 @@ use glam::{Vec2, Vec3A};
 use super::path::View;
 use super::world::World;
 
-/// Rays per side.
 pub(super) const GRID: usize = 12;
 /// Share of surfaces in a view.
 const LEAST_SURFACE: f32 = 0.55;

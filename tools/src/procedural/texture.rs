@@ -146,13 +146,11 @@ fn pulse(x: f32, share: f32, width: f32) -> f32 {
     ((integral(x + width / 2.0) - integral(x - width / 2.0)) / width).clamp(0.0, 1.0)
 }
 
-/// Unit squares.
 fn checker(uv: Vec2, width: f32) -> f32 {
     let (a, b) = (pulse(uv.x / 2.0, 0.5, width / 2.0), pulse(uv.y / 2.0, 0.5, width / 2.0));
     a * b + (1.0 - a) * (1.0 - b)
 }
 
-/// One disc per unit square.
 fn spots(uv: Vec2, radius: f32, width: f32) -> f32 {
     let cell = uv.floor();
     let word = hash(cell.x as i32, cell.y as i32, 11);

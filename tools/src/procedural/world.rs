@@ -68,17 +68,15 @@ impl World {
         Self { bvh: Bvh::new(&primitives), primitives, light, sky, room }
     }
 
-    /// Returns all primitives.
     pub fn primitives(&self) -> &[Primitive] {
         &self.primitives
     }
 
-    /// Returns the distance in meters to the nearest surface along a unit direction.
+    /// Distance in meters along a unit direction.
     pub fn distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
         self.bvh.nearest(&self.primitives, origin, direction, FAR).map(|(t, _)| t)
     }
 
-    /// Returns true inside a solid.
     pub fn contains(&self, point: Vec3A) -> bool {
         self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.center)))
     }

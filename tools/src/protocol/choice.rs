@@ -1,5 +1,3 @@
-//! Selection of input and target frames.
-
 use super::{Indices, Protocol};
 use crate::capture::{Choice, farthest_points};
 use std::path::Path;
@@ -7,7 +5,6 @@ use zipsplat::{Error, Result, types::poses::Capture};
 
 /// Table column: number and selection of input frames.
 pub struct Setting {
-    /// Number of input frames.
     pub views: usize,
     rule: Rule,
 }
@@ -22,8 +19,8 @@ enum Rule {
 }
 
 impl Protocol {
-    /// Returns the settings of index files or of numbers of inputs. `gaps` override the paper's,
-    /// one per number or one for all.
+    /// Reads index files, or takes numbers of inputs. `gaps` override the paper's, one per number
+    /// or one for all.
     ///
     /// # Errors
     /// As [`Indices::open`]; [`Error::Argument`] for a wrong number of gaps.
@@ -49,12 +46,11 @@ impl Protocol {
 }
 
 impl Setting {
-    /// Returns the setting's name, such as `6v`.
+    /// Such as `6v`.
     pub fn name(&self) -> String {
         format!("{}v", self.views)
     }
 
-    /// Returns the short name of the selection.
     pub fn rule(&self) -> String {
         match &self.rule {
             Rule::Given(indices) => format!("indices-{}", indices.digest()),

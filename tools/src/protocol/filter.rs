@@ -9,7 +9,6 @@ use zipsplat::{
     },
 };
 
-/// Antialiasing filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
     /// Pillow's LANCZOS after the crop, as in every other command

@@ -14,15 +14,11 @@ pub struct Indices {
 /// Indices into a scene's camera file. Other JSON fields are ignored.
 #[derive(Clone, Deserialize)]
 pub struct Entry {
-    /// Input frames.
     pub context: Vec<usize>,
-    /// Target frames.
     pub target: Vec<usize>,
 }
 
 impl Indices {
-    /// Reads a file.
-    ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Format`] for another format, no complete scene, or unequal input
     /// counts.
@@ -52,17 +48,14 @@ impl Indices {
         Ok(Self { scenes, digest: digest(&[text])[..8].to_owned() })
     }
 
-    /// Returns the number of inputs per scene.
     pub fn views(&self) -> usize {
         self.scenes.values().flatten().next().map_or(0, |entry| entry.context.len())
     }
 
-    /// Returns the digest of the file.
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// Returns the frames of a scene.
     pub fn of(&self, scene: &str) -> Option<&Entry> {
         self.scenes.get(scene)?.as_ref()
     }

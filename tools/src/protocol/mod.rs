@@ -1,5 +1,3 @@
-//! Evaluation protocols of papers: layouts, frames, and resizing.
-
 mod choice;
 mod filter;
 mod indices;
@@ -12,7 +10,6 @@ pub use places::Place;
 
 use clap::ValueEnum;
 
-/// Data set with its evaluation protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Protocol {
     /// DL3DV: transforms.json and images_4; 6, 12 and 24 inputs of the first 50, 100 and 150 frames
@@ -26,7 +23,6 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// Returns the data set's official name.
     pub fn title(self) -> &'static str {
         match self {
             Self::Dl3dv => "DL3DV",
@@ -36,7 +32,7 @@ impl Protocol {
         }
     }
 
-    /// Returns the numbers of inputs in the paper's tables 1 to 3.
+    /// In the paper's tables 1 to 3.
     fn views(self) -> &'static [u32] {
         match self {
             Self::Dl3dv => &[6, 12, 24],

@@ -1,5 +1,3 @@
-//! Data set folder layouts.
-
 use super::Protocol;
 use std::{
     fs::File,
@@ -11,7 +9,6 @@ use zipsplat::{
     types::{Distortion, poses::Capture},
 };
 
-/// Scene of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
     /// Name, as in index files.
@@ -51,7 +48,6 @@ impl Protocol {
         Ok(places)
     }
 
-    /// Describes the layout for messages.
     fn layout(self) -> &'static str {
         match self {
             Self::Dl3dv => "a folder with a transforms.json, directly or in nerfstudio/",

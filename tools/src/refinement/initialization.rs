@@ -1,5 +1,3 @@
-//! Gaussians before the first step.
-
 use clap::ValueEnum;
 use zipsplat::{
     Error, Result,

@@ -1,5 +1,3 @@
-//! Refinement in commands: options, initialization, progress and report.
-
 mod initialization;
 mod options;
 mod report;

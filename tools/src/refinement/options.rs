@@ -42,7 +42,6 @@ fn default_size() -> Size {
 /// Default of `--refine` and `refine`, [`RefineLength::default`].
 pub const DEFAULT_LENGTH: &str = "60s";
 
-/// Length and variables of a refinement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RefineTask {
     pub length: RefineLength,
@@ -76,7 +75,6 @@ impl FromStr for RefineTask {
     }
 }
 
-/// Parses a number of steps, or a time such as `60s`.
 pub fn parse_steps(text: &str) -> Result<RefineTask, String> {
     let steps = text.parse().ok().filter(|_| !text.contains(':'));
     steps.ok_or_else(|| "expected a number of steps, such as 100, or a time, such as 60s".into())
@@ -90,7 +88,6 @@ enum RefineTarget {
     Tokens,
 }
 
-/// Options of `refine` and of `--refine`.
 #[derive(Args, Debug)]
 pub struct RefineSettings {
     /// Initialization [default: scene; for the built-in model points, if the capture has enough]
@@ -124,8 +121,8 @@ const SETTINGS: [&str; 6] =
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("settings").args(SETTINGS).multiple(true).requires("refine")))]
 pub struct RefineArgs {
-    /// Refine the scene against the photos for a number of steps or a time, such as 60s. Keeps the
-    /// best step by held-out photos. Ctrl-C stops early and keeps the best step so far
+    /// Refine the scene against the photos for a number of steps or a time, such as 60s, as
+    /// `refine` does. Ctrl-C stops early and keeps the best step so far
     #[arg(long, value_name = "STEPS|TIME", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_LENGTH,
         value_parser = parse_steps)]
     refine: Option<RefineTask>,
@@ -136,7 +133,6 @@ pub struct RefineArgs {
     pub settings: RefineSettings,
 }
 
-/// Requires cameras for `--refine`.
 pub fn with_cameras(arg: Arg) -> Arg {
     if arg.get_id() == "refine" { arg.requires("cameras") } else { arg }
 }
@@ -151,7 +147,6 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 }
 
 impl RefineSettings {
-    /// Rejects LPIPS without its weights.
     pub fn check(&self) -> Result<()> {
         let found = |_| Perceptual::file(LpipsNetwork::Vgg, cache_dir().as_deref()).map(drop);
         self.lpips_weight.map_or(Ok(()), found)
@@ -185,13 +180,11 @@ impl RefineArgs {
         self.refine.map(|steps| RefineTask { tokens, ..steps })
     }
 
-    /// Rejects settings that tokens cannot use, and LPIPS without its weights.
     pub fn check(&self) -> Result<()> {
         self.settings.check()?;
         self.check_target()
     }
 
-    /// Rejects settings that tokens cannot use.
     pub fn check_target(&self) -> Result<()> {
         let Some(steps) = self.steps() else { return Ok(()) };
         match (self.settings.init, self.settings.max_gaussians) {

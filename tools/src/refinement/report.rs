@@ -1,5 +1,3 @@
-//! Results of a refinement as text, JSON and a table.
-
 use super::TOKENS;
 use crate::{
     metrics::median,
@@ -13,7 +11,7 @@ use zipsplat::{
     types::{Camera, Pose},
 };
 
-/// Median rotation in degrees, and shift, of the moved cameras.
+/// Medians of the moved cameras: rotation in degrees, and shift.
 fn camera_movement(given: &[Camera], refined: &RefineResult) -> Option<[f64; 2]> {
     let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
     let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();

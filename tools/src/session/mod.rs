@@ -1,5 +1,3 @@
-//! One run of a command: device, output, stages and cancellation.
-
 mod progress;
 
 pub use progress::Stage;
@@ -32,11 +30,8 @@ const NO_DEVICE: &str = "none";
 /// Version of the results printed with `--json`.
 const SCHEMA_VERSION: u32 = 1;
 
-/// Streams and stop flag of a command.
 pub struct Terminal<'a> {
-    /// Results.
     pub out: &'a mut dyn Write,
-    /// Errors and notes.
     pub err: &'a mut dyn Write,
     /// Progress on standard error: a bar on a terminal, else occasional lines.
     pub progress: bool,
@@ -72,7 +67,6 @@ struct Envelope<'a, T> {
 
 pub struct Session<'a> {
     command: String,
-    /// Notes so far.
     warnings: Vec<String>,
     global: Global,
     terminal: Terminal<'a>,
@@ -109,7 +103,6 @@ impl<'a> Session<'a> {
         self.task = format!("{task}: ");
     }
 
-    /// Opens the requested device, or the best one, and notes rejected GPUs.
     pub fn device(&mut self) -> Result<Device> {
         let device = Device::open(&self.device_options())?;
         device.passed_over().iter().for_each(|why| self.note(format_args!("{why}: a CPU is used")));
@@ -121,7 +114,6 @@ impl<'a> Session<'a> {
         DeviceOptions { device: device.clone(), max_memory_bytes: *max_memory, ..DeviceOptions::default() }
     }
 
-    /// Returns true to plan for an ordinary device.
     pub fn plans_for_none(&self) -> bool {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
@@ -188,7 +180,6 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Prints `value` with `--json`, else `text` unless `--quiet`.
     pub fn report(&mut self, value: &impl Serialize, text: impl Display) -> Result<()> {
         let (out, name) = if self.piped {
             (&mut *self.terminal.err, "standard error")
@@ -229,7 +220,6 @@ impl<'a> Session<'a> {
     pub fn note(&mut self, text: impl Display) {
         let text = text.to_string();
         if !self.global.quiet {
-            // A failed note does not stop the command.
             let _ = writeln!(self.terminal.err, "note: {text}");
         }
         self.warnings.push(text);
@@ -267,7 +257,6 @@ impl<'a> Session<'a> {
         }
         let text = lines.join("; ");
         let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };
-        // The exit code still reports the error.
         let _ = writeln!(self.terminal.err, "{line}");
     }
 }

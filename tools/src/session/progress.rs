@@ -19,7 +19,6 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// Delay before the first progress line off a terminal.
 pub(super) const FIRST_LINE: Duration = Duration::from_secs(5);
 const BETWEEN_LINES: Duration = Duration::from_secs(30);
-/// Smallest fraction for an estimate.
 const ESTIMABLE: f64 = 0.02;
 const STEPS: u64 = 1000;
 
@@ -35,7 +34,6 @@ impl<'a> Stage<'a> {
             ProgressStyle::with_template("{spinner} {prefix}{msg:16} [{bar:32}] {percent:>3} % {elapsed}{left}");
         let left = |state: &ProgressState, out: &mut dyn fmt::Write| {
             let left = time_left(state.elapsed(), state.pos());
-            // Writing to a string cannot fail.
             let _ = left.map_or(Ok(()), |left| write!(out, ", {left:#} left"));
         };
         bar.set_style(style.expect("the template is valid").with_key("left", left));
@@ -125,7 +123,6 @@ fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant
         // Another stage may have printed one meanwhile.
         if *due <= Instant::now() {
             *due = Instant::now() + BETWEEN_LINES;
-            // A failed line does not stop the command.
             let _ = writeln!(stderr(), "{}", progress_line(bar));
         }
     }

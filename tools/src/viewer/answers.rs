@@ -1,5 +1,3 @@
-//! Requests of a page to its server.
-
 use super::{
     Config, Live, Requests, Studio, Watched,
     live::LiveScene,

@@ -1,5 +1,3 @@
-//! Input cameras of a viewer.
-
 use glam::DVec3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -16,7 +14,6 @@ use zipsplat::{
 const SIDE: u32 = 512;
 const FOV: f64 = 60.0;
 
-/// JPEG quality.
 pub const QUALITY: u8 = 90;
 pub const SMALL_QUALITY: u8 = 75;
 
@@ -70,8 +67,8 @@ impl InputCamera {
     }
 }
 
-/// Reads cameras into the scene's world, with notes; `world` is the scene file's. Photos come from
-/// the camera file's folder or by name from `photos`; none with `without_photos`.
+/// Reads cameras into the scene's world, with notes. Photos come from the camera file's folder or
+/// by name from `photos`; none with `without_photos`.
 pub fn input_cameras(
     file: &Path,
     relative_to: Option<&Path>,

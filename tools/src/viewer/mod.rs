@@ -1,5 +1,3 @@
-//! Scene viewer: browser page and local server.
-
 mod answers;
 mod cameras;
 mod live;

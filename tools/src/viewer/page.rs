@@ -29,7 +29,6 @@ pub struct Config {
     pub scenes: Vec<ShownScene>,
     /// In the scenes' world.
     pub cameras: Vec<InputCamera>,
-    /// Up direction, if known.
     pub up: Option<[f64; 3]>,
     /// Empty for scene files.
     pub views: Vec<View>,
@@ -54,7 +53,6 @@ pub struct ShownScene {
     pub skipped_passes: Vec<SkippedPass>,
 }
 
-/// Network input.
 #[derive(Serialize)]
 pub struct View {
     pub name: String,

@@ -1,5 +1,3 @@
-//! Preparation of photos for a page.
-
 use super::{
     Live, Watched,
     cameras::{InputCamera, QUALITY},
@@ -46,8 +44,8 @@ pub struct FromPhotos {
     pub quality: Quality,
     #[command(flatten)]
     pub(super) crop: CropOption,
-    /// Largest number of photos or video frames, evenly spaced from first to last [default: all
-    /// photos, 24 frames of a video]
+    /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
+    /// video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
     #[command(flatten)]
@@ -67,7 +65,6 @@ pub struct FromPhotos {
 const RATIOS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
 const MOST_RATIOS: usize = 8;
 
-/// Photos with features on the device, and their cameras.
 pub struct Ready<'a> {
     pub live: Live<'a>,
     /// In the scene's world.
@@ -90,7 +87,6 @@ impl FromPhotos {
         self.weights.open_network()
     }
 
-    /// Selects the photos, and reads or estimates their cameras.
     pub(super) fn photographed(
         &self,
         session: &mut Session<'_>,
@@ -186,7 +182,6 @@ impl FromPhotos {
         Ok(Ready { live, cameras, names, photos, frames, cloud, _folder: folder })
     }
 
-    /// Length that is 1 for the network.
     fn length(
         &self,
         session: &mut Session<'_>,
@@ -265,7 +260,6 @@ impl Ready<'_> {
     }
 }
 
-/// In the first one's world.
 pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&CaptureView]) -> Vec<InputCamera> {
     let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
     let camera = |(photo, frame): (&PathBuf, &&CaptureView)| {

@@ -1,5 +1,3 @@
-//! Pixel scenes for a page.
-
 use super::{
     FromPhotos,
     cameras::InputCamera,

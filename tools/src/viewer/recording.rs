@@ -49,7 +49,6 @@ enum Format {
 }
 
 impl Studio {
-    /// Without `device`, opens that of `options` on first use.
     pub fn new(device: Option<&Device>, options: DeviceOptions, ffmpeg: PathBuf) -> Self {
         Self { options, ffmpeg, renderer: Mutex::new(device.map(Renderer::new)), bar: ProgressBar::hidden() }
     }

@@ -1,5 +1,3 @@
-//! Refinement with live scenes, loss and a stop flag.
-
 use super::{
     live::{Live, LiveScene},
     page::ShownScene,

@@ -25,8 +25,7 @@ use zipsplat_verify::noise::Noise;
 /// Time of Depth Anything 3, backbone and heads, by kernel, and its memory
 #[derive(Args)]
 pub struct Depth {
-    /// Weights of Depth Anything 3: a name of `zipsplat weights list`, a released file, or
-    /// seeded:NAME for random ones
+    /// Weights of Depth Anything 3, as for `depth`
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Numbers of views
@@ -57,7 +56,6 @@ struct Row {
     arena_bytes: u64,
 }
 
-/// Measurement of PyTorch.
 #[derive(Deserialize)]
 struct PytorchRow {
     backbone_ms: Vec<f64>,

@@ -66,13 +66,11 @@ struct Row {
     arena_bytes: u64,
 }
 
-/// Measurement of PyTorch.
 #[derive(Deserialize)]
 struct PytorchRow {
     precision: String,
     views: usize,
     ratio: f64,
-    /// Absent after a failure.
     ms: Option<Vec<f64>>,
     peak_bytes: Option<u64>,
     failed: Option<String>,
@@ -133,7 +131,6 @@ impl Forward {
         compared
     }
 
-    /// `totals` are in measurement order.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
         let list = |number: &dyn Fn(&Row) -> String| totals.iter().map(number).collect::<Vec<_>>().join(",");
         let [warmup, repeats] = self.repeats.words();

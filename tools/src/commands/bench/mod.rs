@@ -1,5 +1,3 @@
-//! `zipsplat bench`: median, minimum and maximum times.
-
 mod depth;
 mod effects;
 mod forward;
@@ -94,7 +92,6 @@ struct Spread {
 }
 
 impl Spread {
-    /// Averages the middle two of an even number.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
         Self::of_ms(times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect())
     }
@@ -124,10 +121,9 @@ impl fmt::Display for Spread {
 
 struct Group {
     name: String,
-    /// Dispatches per run.
     count: u32,
     flops: u64,
-    /// Of tensors, each once per command.
+    /// Tensor bytes, each once per command.
     bytes: u64,
     ms: Spread,
 }
@@ -161,7 +157,6 @@ fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Grou
     order.into_iter().map(finish).collect()
 }
 
-/// Kernel, or sort of several.
 fn pass(row: &ProfileRow) -> String {
     match row.scope.split('/').nth(1) {
         Some("by_depth") => "sort by depth".into(),

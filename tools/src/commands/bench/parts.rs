@@ -1,5 +1,3 @@
-//! Times of a plan, by stage and kernel.
-
 use super::{Group, Repeats, Spread, group, peak::Rate, percent};
 use crate::{session::Stage, table::Table};
 use serde::Serialize;
@@ -42,7 +40,7 @@ impl Part {
     }
 }
 
-/// Measures the whole on the host, and parts by timestamps. `write` uploads the inputs of each run.
+/// Measures the whole on the host and parts by timestamps. `write` uploads each run's inputs.
 pub fn measure(
     run: &mut Run,
     write: impl Fn(&mut Run) -> Result<()>,

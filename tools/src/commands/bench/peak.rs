@@ -56,7 +56,6 @@ pub struct Rate {
     pub per_s: f64,
     pub unit: &'static str,
     ms: Spread,
-    /// Relative to the largest value.
     difference: f64,
 }
 

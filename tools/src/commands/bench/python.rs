@@ -1,5 +1,3 @@
-//! PyTorch and gsplat in an installed Python, by scripts of `tools/bench` and `tools/train`.
-
 use crate::scratch::Scratch;
 use serde::{Deserialize, de::DeserializeOwned};
 use std::{
@@ -12,7 +10,6 @@ use zipsplat::{
     types::{Scene, write_ply},
 };
 
-/// Python file that prints JSON.
 pub struct Script {
     option: &'static str,
     /// Requirements of `option`, for its errors.
@@ -69,7 +66,6 @@ pub const GSPLAT: Script = Script {
     files: &[("gsplat_render.py", GSPLAT_PY), SCENE],
 };
 
-/// Measurements of a PyTorch script.
 #[derive(Deserialize)]
 pub struct Pytorch<Row> {
     device: String,
@@ -128,7 +124,6 @@ impl Script {
 mod tests {
     use super::*;
 
-    /// Also indirect imports of tools/train and tools/bench.
     #[test]
     fn scripts_find_what_they_import() {
         let tools = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -80,7 +80,6 @@ struct Row {
     peak_bytes: u64,
 }
 
-/// Measurement of PyTorch.
 #[derive(Deserialize)]
 struct PytorchRow {
     what: String,
@@ -223,7 +222,6 @@ impl Case {
         }
     }
 
-    /// Largest number of a photo.
     fn intersections(&self, device: &Device) -> Result<usize> {
         let mut renderer = Renderer::new(device);
         renderer.set_scene(&self.scene)?;

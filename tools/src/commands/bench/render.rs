@@ -68,7 +68,6 @@ struct Row {
     commands: u32,
     ms: Spread,
     frames_per_s: f64,
-    /// Tensor bytes, each once per command.
     bytes: Option<u64>,
     bandwidth_share: Option<f64>,
 }

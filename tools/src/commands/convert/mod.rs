@@ -19,9 +19,8 @@ use zipsplat::{
 
 /// Convert scenes between formats and checkpoints to safetensors, or summarize a file
 ///
-/// Detects a scene's format by its first bytes (.splat and .gltf by extension), and writes that of
-/// the output's extension. Coordinates do not change. All formats except .splat and SPZ version 4
-/// store the transform to the cameras' world.
+/// Detects a scene's format by its first bytes (.splat and .gltf by extension). Coordinates do not
+/// change. All formats except .splat and SPZ version 4 store the transform to the cameras' world.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply
@@ -37,7 +36,7 @@ pub struct Convert {
     /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
     /// `zipsplat weights list`, or seeded:VARIANT[:KEY]
     input: String,
-    /// File to write [default: none, only summarize the input]
+    /// File to write; its extension gives the format [default: none, only summarize the input]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
@@ -47,9 +46,9 @@ pub struct Convert {
     /// values [default: f32]
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
-    /// Architecture of a checkpoint that does not name its own: vitg (DA3-Giant, the only one with
-    /// released weights), vits, vitb, vitl, or the reference's da3s, da3b, da3l; with further
-    /// fields as in vits:out_layers=5,7,11:alt_start=5:rope_start=5
+    /// Architecture of a checkpoint that does not name its own: vitg (DA3-Giant, the released
+    /// weights), vitl, vitb, vits, da3s, da3b, da3l; with further fields as in
+    /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V")]
     variant: Option<String>,
     /// SPZ version: 2, 3, or 4 [default: 3]

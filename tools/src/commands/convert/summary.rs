@@ -1,5 +1,3 @@
-//! Contents of a scene or checkpoint.
-
 use crate::{
     options::SceneInput,
     outputs::size_of,
@@ -75,7 +73,6 @@ pub fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Resul
     let bounds = ranges(scene.means.iter().copied());
     let [scales] = ranges(scene.scales.as_flattened().iter().map(|scale| [*scale]));
     let [opacities] = ranges(scene.opacities.iter().map(|opacity| [*opacity]));
-    // Minimum and maximum.
     let corners = || Some([0, 1].map(|end| bounds.map(|range| range.map_or(f32::NAN, |range| range[end]))));
     let json = json!({
         "path": path, "gaussians": count, "dropped": dropped, "sh_degree": degree, "bounds": bounds[0].and_then(|_| corners()),

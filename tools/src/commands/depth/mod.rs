@@ -44,9 +44,9 @@ use zipsplat::{
 pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Weights of Depth Anything 3: a name for `zipsplat weights get` (da3-small, da3-base,
-    /// da3-large, da3-giant, da3mono-large, da3metric-large), a released model.safetensors, or
-    /// seeded:NAME for random numbers
+    /// Weights of Depth Anything 3: a name (da3-small, da3-base, da3-large, da3-giant,
+    /// da3mono-large, da3metric-large), a released model.safetensors, or seeded:NAME for random
+    /// numbers
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Folder to write to
@@ -54,14 +54,13 @@ pub struct Depth {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Known cameras of all photos. Multi-view networks use them as input; with others they place
-    /// the points
+    /// Known cameras of all photos: input of multi-view networks; with others they place the points
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     #[command(flatten)]
     source: CamerasFrom,
-    /// Depth in meters, by da3metric-large and the cameras' focal lengths; positions must be in
-    /// meters. Otherwise depth of single-view networks is aligned to the cameras' points
+    /// Depth in meters, by da3metric-large and cameras with positions in meters. Otherwise depth of
+    /// single-view networks is aligned to the cameras' points
     #[arg(long, requires = "cameras")]
     metric: bool,
     /// Photo whose camera is the world, counted from 0 [default: the network's choice]
@@ -184,7 +183,7 @@ impl Depth {
         Ok(Some((frames, poses.points)))
     }
 
-    /// Uses a common scale; returns the levels per unit.
+    /// Returns the levels per unit, common to all pictures.
     fn save_pictures(&self, depths: &DepthPrediction, names: &[String]) -> Result<f32> {
         let size = [depths.width, depths.height];
         let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthMap::depth_behind_sky).collect();

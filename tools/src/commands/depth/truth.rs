@@ -1,5 +1,3 @@
-//! Errors of depth and cameras against ground truth.
-
 use crate::{cameras::Similarity, depth::PredictedViews, metrics::median, npy};
 use glam::DQuat;
 use serde_json::{Value, json};
@@ -15,7 +13,6 @@ pub struct Truth {
     folder: PathBuf,
 }
 
-/// Medians over photos.
 pub struct Errors {
     /// With both an estimated and a true camera.
     photos: usize,
@@ -79,7 +76,7 @@ impl Errors {
     }
 }
 
-/// Medians of angle, distance over the extent, and focal length.
+/// Returns median angle, distance over the extent, and relative focal length error.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
     let centers = pairs.iter().map(|(_, truth)| truth.pose.translation);

@@ -141,7 +141,6 @@ fn every(findings: &[Finding]) -> Table {
     table
 }
 
-/// Lists the worst case of each kernel and mode, and every failure.
 fn worst(findings: &[Finding]) -> Table {
     let heads = ["kernel", "mode", "worst case", "cases", "size", "worst error", "bound", "share", ""];
     let mut table = Table::new(3, &heads);

@@ -1,5 +1,3 @@
-//! HTML report: errors, bounds and justifications by kernel.
-
 use crate::{
     html::{self, escape},
     plot::{At, Axis, Scale, Series, plot},
@@ -10,7 +8,6 @@ use zipsplat_verify::{Area, Finding, Worst};
 /// Least error shown, relative to the largest.
 const LEAST: f64 = 1e-24;
 
-/// Returns the self-contained page.
 pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
     let outside = findings.iter().filter(|finding| !finding.holds).count();
     let verdict = match outside {

@@ -1,5 +1,3 @@
-//! The report of `eval` on pictures whose cameras were aligned.
-
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
     capture::{Score, ViewSplit},
@@ -16,7 +14,6 @@ pub struct AlignedScore {
     nearest_psnr: f64,
     mean_color_psnr: f64,
     pub lpips: Option<f64>,
-    /// PSNR with the given camera.
     unaligned_psnr: f64,
     unaligned_ssim: f64,
     /// Rotation from the given camera.
@@ -50,10 +47,8 @@ fn scores(capture: &ViewSplit, found: &[Aligned]) -> Vec<AlignedScore> {
 #[derive(Serialize)]
 pub struct Alignment {
     rotation_error_deg: f64,
-    /// Median, in the cameras' unit.
     translation_error: f64,
     unaligned: Unaligned,
-    /// Photos with unreliable scores.
     unreliable: usize,
     pub rows: Vec<AlignedScore>,
 }
@@ -137,7 +132,6 @@ pub fn cells_of(score: &Score) -> [String; 6] {
     cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
 }
 
-/// PSNR, SSIM, LPIPS and the PSNR of the two predictions.
 fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
     let db = |value: f64| format!("{value:.2} dB");
     let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));

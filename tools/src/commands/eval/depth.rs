@@ -1,5 +1,3 @@
-//! Pixel-aligned scene at known depth.
-
 use crate::{
     capture::{Choice, ViewSplit},
     npy,

@@ -27,7 +27,6 @@ pub struct Evaluator<'a> {
     pub(super) device: Device,
     pub precision: Precision,
     arithmetic: Arithmetic,
-    /// Loaded by the first reconstruction.
     model: Option<Model>,
     pub(super) predictor: Option<DepthPredictor>,
     renderer: Renderer,
@@ -46,7 +45,6 @@ pub struct Evaluation {
 /// World: the first input's camera; unit: the network's.
 pub struct Reconstruction {
     pub scene: Scene,
-    /// Absent for external scenes.
     pub network: Option<Network>,
     pub refined: Option<RefineResult>,
     pub started: &'static str,
@@ -80,7 +78,6 @@ impl<'a> Evaluator<'a> {
         self.lpips.is_some()
     }
 
-    /// `name` is the capture's in a data set.
     pub fn evaluate(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Evaluation> {
         let (eval, seeing) = (self.eval, self.seeing);
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.scene_scale, stage))?;
@@ -200,7 +197,6 @@ impl<'a> Evaluator<'a> {
     }
 }
 
-/// Compares with the inputs at the compared size.
 fn refine(
     eval: &Eval,
     session: &mut Session<'_>,

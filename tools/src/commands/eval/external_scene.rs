@@ -36,8 +36,8 @@ pub struct ExternalScene {
     /// first-camera]
     #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
     scene_frame: Option<SceneFrame>,
-    /// Cameras of the input photos in the scene's world, for --scene-frame aligned, in any format
-    /// of `--cameras`; with --protocol a folder of NAME.json or COLMAP models NAME/
+    /// Cameras of the input photos in the scene's world, for --scene-frame aligned, as for
+    /// --cameras; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
     scene_cameras: Option<PathBuf>,
     /// Length of the scene's unit in the cameras' unit; derived with --scene-frame aligned
@@ -76,7 +76,6 @@ impl ExternalScene {
         self.input.is_given()
     }
 
-    /// Returns the scene file or depth folder.
     pub fn given(&self) -> Option<&Path> {
         self.scene.as_deref().or(self.from_depth.as_deref())
     }
@@ -87,7 +86,6 @@ impl ExternalScene {
         format!("{scene:?} {from_depth:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
-    /// `name` is the capture's in a data set.
     pub fn make(
         &self,
         session: &mut Session<'_>,

@@ -1,5 +1,3 @@
-//! `eval` of two sets of pictures.
-
 use super::Eval;
 use crate::{
     metrics::{self, psnr, ssim, values},
@@ -23,7 +21,6 @@ pub struct ImageSets<'a> {
 #[derive(Clone, Serialize)]
 struct Row {
     name: String,
-    /// dB; absent for equal pictures.
     psnr: Option<f64>,
     ssim: f64,
     lpips: Option<f64>,

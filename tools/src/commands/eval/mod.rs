@@ -39,23 +39,21 @@ const TARGETS: usize = 8;
 /// mean color. Lengths are in the network's unit, see --scene-scale.
 ///
 /// --pose-free gives the network photos alone. Each picture is then aligned with its photo, within
-/// 15 degrees and 0.25 units of the known camera. The table has the movements, and warnings about
+/// 15 degrees and 0.25 units of the known camera. The table has the movements and warns about
 /// unreliable scores: flat, a photo without texture, which is not aligned; bound, a camera at its
 /// movement limit; color, a picture no better than one color.
 ///
-/// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of
-/// whole photos, whose longer side is --input-size. With --pose-free, estimated cameras map it to
-/// the known world.
+/// With weights of Depth Anything 3 the scene is that of `reconstruct`, from whole photos. With
+/// --pose-free, estimated cameras map it to the known world.
 ///
-/// Two pictures, or two folders of pictures matched by file name without extension, are compared by
-/// PSNR, SSIM (as in scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
+/// Two pictures, or equally named pictures in two folders, are compared by PSNR, SSIM (as in
+/// scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
 ///
 /// With --protocol the folders are scenes of a data set, or folders of scenes, evaluated as in the
 /// paper's tables 1 to 3: 8 held-out photos per scene, with the protocol's downscaling and camera
-/// alignment. The output folder has a folder per setting, with a record and a picture per scene;
-/// scenes.csv, a row per scene; table.md and table.csv, means in the paper's layout; and page.html,
-/// with pictures. Run the command again to resume. A failed scene is a row of failures.csv; the
-/// others continue, and the exit code is 1.
+/// alignment. The output folder has a record and a picture per scene and setting, scenes.csv, the
+/// means as table.md and table.csv, and page.html. Run the command again to resume. A failed scene
+/// is a row of failures.csv, and the exit code is 1.
 #[derive(Args)]
 #[command(
     mut_args(for_known_cameras),
@@ -70,9 +68,9 @@ const TARGETS: usize = 8;
   zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/"
 )]
 pub struct Eval {
-    /// Capture: a folder of photos with their cameras (transforms.json or a COLMAP model; with
-    /// --cameras only photos). To compare: two pictures, or two folders of pictures. With
-    /// --protocol: scenes of a data set, or folders of scenes
+    /// Capture: a folder of photos with their cameras (transforms.json or a COLMAP model). To
+    /// compare: two pictures or folders of pictures. With --protocol: scenes of a data set, or
+    /// folders of scenes
     #[arg(required = true, value_name = "CAPTURE|PICTURES")]
     folders: Vec<PathBuf>,
     /// Cameras of the photos: transforms.json or a COLMAP model's folder; colmap: estimated by
@@ -116,13 +114,13 @@ pub struct Eval {
     eval_size: Option<Size>,
     #[command(flatten)]
     refine: RefineArgs,
-    /// Perturb the input cameras except the first: rotate by this number of degrees, and move by as
+    /// Perturb the input cameras except the first: rotate by this number of degrees, move by as
     /// many percent of the scene's distance
     #[arg(long, value_name = "DEGREES", default_value = "0")]
     pose_noise: f64,
     /// Length of the network's unit in the cameras' unit [default: the median distance of the
-    /// capture's points from the first camera, else the distance of the point that the cameras look
-    /// at, else the distance between cameras]
+    /// capture's points from the first camera, else of the point that the cameras look at, else the
+    /// distance between cameras]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     scene_scale: Option<f64>,
     #[command(flatten)]

@@ -1,5 +1,3 @@
-//! Report of one capture.
-
 use super::{
     Eval, VIEWS,
     alignment::{Alignment, cells_of},
@@ -19,7 +17,6 @@ use zipsplat::{
 
 const SCENE: &str = "scene.ply";
 const COMPARISON: &str = "comparison.png";
-/// Held-out photos in the picture.
 const SHOWN: usize = 12;
 
 pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
@@ -133,7 +130,6 @@ fn table(scores: &[Score], mean: &Score) -> Table {
     table
 }
 
-/// Two photos per row: photo, prediction, nearest input.
 fn comparison(capture: &ViewSplit, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);

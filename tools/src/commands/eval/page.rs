@@ -1,10 +1,7 @@
-//! Page of a protocol: table and pictures.
-
 use super::rows::{Means, Row};
 use crate::html;
 use zipsplat::{Result, types::Image};
 
-/// Scenes shown per setting.
 const SHOWN: usize = 24;
 /// Longer side in pixels.
 const PICTURE: u32 = 1008;

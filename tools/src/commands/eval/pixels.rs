@@ -1,5 +1,3 @@
-//! `eval` of pixel scenes by Depth Anything 3.
-
 use super::{
     Eval,
     evaluator::{Evaluator, Network, Reconstruction},
@@ -35,8 +33,7 @@ impl Eval {
 }
 
 impl Evaluator<'_> {
-    /// Makes the scene in the capture's world and unit. Without known cameras, estimated ones place
-    /// it.
+    /// Without known cameras, estimated ones place the scene.
     pub(super) fn of_pixels(
         &mut self,
         session: &mut Session<'_>,

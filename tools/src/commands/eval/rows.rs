@@ -1,5 +1,3 @@
-//! Records of evaluated scenes, and their means.
-
 use crate::{
     outputs::{MADE_BY, save_json},
     photos::folders_in,
@@ -15,7 +13,6 @@ pub struct Row {
     pub generator: String,
     pub protocol: String,
     pub method: String,
-    /// Known cameras.
     pub posed: bool,
     pub scene: String,
     pub views: usize,
@@ -28,14 +25,12 @@ pub struct Row {
     pub psnr: f64,
     pub ssim: f64,
     pub lpips: Option<f64>,
-    /// Absent if reconstructed elsewhere.
     pub seconds: Option<f64>,
     #[serde(skip)]
     pub place: PathBuf,
 }
 
 impl Row {
-    /// Returns the record's path; the picture is in the same folder.
     pub fn file(folder: &Path, scene: &str) -> PathBuf {
         folder.join(format!("{scene}.json"))
     }
@@ -51,7 +46,6 @@ impl Row {
     }
 }
 
-/// Sorts by method, setting and scene.
 pub fn read_all(folder: &Path, protocol: Protocol) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for way in folders_in(folder)? {
@@ -71,7 +65,6 @@ pub fn name_of(protocol: Protocol) -> String {
     protocol.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
-/// A line per method, a column group per setting.
 pub struct Means {
     pub title: String,
     pub headings: Vec<String>,

@@ -1,5 +1,3 @@
-//! Resumable evaluation of a data set.
-
 use super::{
     Eval, TARGETS,
     evaluator::{Evaluation, Evaluator},
@@ -30,7 +28,6 @@ use zipsplat::{
 const SCENES: &str = "scenes.csv";
 const TABLES: [&str; 2] = ["table.md", "table.csv"];
 const PAGE: &str = "page.html";
-/// Photos in the picture of a scene.
 const SHOWN: usize = 4;
 
 #[derive(Args)]
@@ -129,7 +126,6 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
 }
 
 impl Series<'_> {
-    /// Stops at a fatal error or the limit.
     fn run(
         &self,
         places: &[Place],
@@ -235,7 +231,6 @@ impl Series<'_> {
 }
 
 impl Eval {
-    /// All but scene and frames.
     fn settings_key(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
         let weights = weights.provenance();
         let of_file = stamp_of_weights(weights)?;

@@ -1,5 +1,3 @@
-//! Photos and cameras of a reconstruction.
-
 use super::Reconstruct;
 use crate::{
     cameras::{EstimatedCameras, Finder, KnownCameras, Place},
@@ -24,7 +22,6 @@ impl Reconstruct {
         self.cameras.as_deref().is_some_and(KnownCameras::to_find) || self.finds_by_itself(network)
     }
 
-    /// Returns true if the scene's network also estimates the cameras.
     pub(super) fn finds_by_itself(&self, network: &Network) -> bool {
         let finder = self.cameras.as_deref().map(Finder::named);
         let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();

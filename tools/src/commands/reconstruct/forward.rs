@@ -19,7 +19,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Stage reported with bytes per second.
 pub const LOAD_PHOTOS: &str = "load photos";
 pub const LOAD_WEIGHTS: &str = "load weights";
 
@@ -35,11 +34,8 @@ pub struct Forward {
     /// Arena to reuse in the next pass.
     pub arena: Option<Arena>,
     pub tokens: Option<SceneTokens>,
-    /// Scene after any pruning.
     pub scene: Scene,
-    /// Scene on the device, if resident.
     pub on_device: Option<DeviceScene>,
-    /// Estimated cameras, if requested.
     pub found: Option<Placed>,
     /// Length in the cameras' unit that is 1 for the network.
     pub length: f64,
@@ -48,14 +44,12 @@ pub struct Forward {
     pub peak_bytes: u64,
     pub views_summary: String,
     pub summary: String,
-    /// Bytes of the loaded weights.
     pub rate: u64,
     pub json: Vec<(&'static str, Value)>,
     pub _model: Option<Model>,
 }
 
 impl Forward {
-    /// Checks the options before a device is opened.
     pub fn plan<'a>(
         command: &'a Reconstruct,
         session: &mut Session<'_>,

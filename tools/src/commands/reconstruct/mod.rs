@@ -43,7 +43,6 @@ use zipsplat::{
     },
 };
 
-/// Cameras of each capture's folder.
 const CAPTURE: &str = "capture";
 const NETWORK: &str = "Network";
 const CAMERAS: &str = "Cameras";
@@ -53,8 +52,8 @@ const REFINEMENT: &str = "Refinement";
 /// Reconstruct a scene of 3D Gaussians from photos of a place
 ///
 /// The network computes a token per patch of 14 x 14 pixels; each selected token becomes several
-/// Gaussians. The scene's world is the first photo's camera (x right, y down, z forward), or with
-/// --world input-cameras the world of the cameras.
+/// Gaussians. The scene's world is the first photo's camera (x right, y down, z forward), see
+/// --world.
 ///
 /// With weights of Depth Anything 3, each confident pixel becomes a Gaussian at its depth, and the
 /// network also estimates the cameras. --input-size is then the longer side, and
@@ -87,8 +86,8 @@ pub struct Reconstruct {
     quality: Quality,
     #[command(flatten, next_help_heading = NETWORK)]
     crop: CropOption,
-    /// Largest number of photos or video frames, evenly spaced from first to last [default: all
-    /// photos, 24 frames of a video]
+    /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
+    /// video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
     /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; colmap: estimated
@@ -98,14 +97,13 @@ pub struct Reconstruct {
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
     /// Write the cameras, estimated or optimized, as transforms.json. --cameras colmap and da3 also
-    /// write points and a log to its folder. Without --cameras, estimates cameras from the
-    /// Gaussians of each photo's patches, in the scene's world
+    /// write points and a log to its folder. Without --cameras, estimates them from the scene, in
+    /// its world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length of the network's unit in the cameras' unit; the scene keeps the cameras' unit
     /// [default: the median distance of the capture's points (points.ply or points3D) from the
-    /// first camera, else the distance of the point that the cameras look at, else the distance
-    /// between cameras]
+    /// first camera, else of the point that the cameras look at, else the distance between cameras]
     #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// World of the scene
@@ -146,7 +144,6 @@ fn adapted(arg: Arg) -> Arg {
     if arg.get_id() == "photos" { arg.required(false).required_unless_present("dry_run") } else { arg }
 }
 
-/// Photos with their known cameras, if any.
 #[derive(Clone, Copy)]
 pub struct Posed<'a> {
     pub photos: &'a [PathBuf],
@@ -155,7 +152,6 @@ pub struct Posed<'a> {
 }
 
 impl Reconstruct {
-    /// Needs no device.
     pub fn plans(&self) -> bool {
         self.dry_run
     }
@@ -308,7 +304,6 @@ impl Reconstruct {
         for (stage, took) in &times {
             let rate =
                 forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS).map(Forward::rate_summary).unwrap_or_default();
-            // Writing to a string cannot fail.
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
         }
         if let (true, Some(explanation)) =
@@ -356,7 +351,6 @@ impl Reconstruct {
         self.refine.check()
     }
 
-    /// Returns the size of planned pictures.
     fn picture_size(&self) -> Result<Option<Size>> {
         let Some(drawing) = self.drawing()? else { return Ok(None) };
         let lacks = || Error::argument("--pictures with --dry-run", "no size", "-- --size WxH");

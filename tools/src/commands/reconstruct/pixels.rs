@@ -15,7 +15,6 @@ use zipsplat::{Result, weights::DepthCheckpoint};
 const PIXELS: &str = "weights of Depth Anything 3";
 
 impl Reconstruct {
-    /// Rejects options that do not apply to pixel scenes.
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
         let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
         for (option, given) in [

@@ -1,5 +1,3 @@
-//! Cameras estimated from a scene.
-
 use crate::{cameras::path_from, metrics::median, options::Size, outputs::make_folder, photos::names, table::counted};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -19,7 +17,6 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// One estimate per photo.
     pub fn new(found: Vec<Result<CameraEstimate>>, size: Size) -> Self {
         Self { found, size }
     }

@@ -1,5 +1,3 @@
-//! Memory plan of a reconstruction.
-
 use super::Reconstruct;
 use crate::{
     options::{ArithmeticOption, Network as Weights, Quality, Size, refuse},
@@ -25,7 +23,6 @@ use zipsplat::{
 /// Tensors shown by default.
 const LARGEST: usize = 20;
 
-/// Plans `--dry-run`.
 pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
     let (photos, _folder) = match command.input.photos[..] {
         [] => (Vec::new(), None),
@@ -174,7 +171,6 @@ fn show_depth(
     session.report(&json, text)
 }
 
-/// Also returns a note on omitted tensors.
 fn table(mut rows: Vec<ArenaRow>, all: bool) -> (Table, String) {
     let count = rows.len();
     if !all {

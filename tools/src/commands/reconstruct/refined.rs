@@ -1,5 +1,3 @@
-//! Refinement in `zipsplat reconstruct --refine`.
-
 use super::{
     Posed, Reconstruct,
     forward::{Forward, LOAD_PHOTOS},
@@ -26,9 +24,7 @@ pub enum From {
 
 pub struct RefineInputs<'a> {
     pub device: &'a Device,
-    /// Weights for token refinement.
     pub checkpoint: Option<&'a Checkpoint>,
-    /// Forward pass, if the network ran.
     pub forward: Option<&'a Forward>,
 }
 
@@ -37,7 +33,6 @@ pub struct RefinedScene {
     pub started: String,
     pub cameras: Vec<Camera>,
     pub request: RefineOptions,
-    /// Reading of the photos.
     pub load: Duration,
 }
 

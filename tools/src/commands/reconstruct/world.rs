@@ -1,5 +1,3 @@
-//! World of the written scene.
-
 use super::forward::Forward;
 use clap::ValueEnum;
 use zipsplat::types::{Pose, World, poses::CaptureView};

@@ -1,5 +1,3 @@
-//! Scattered and stacked primitives, outdoors or between walls.
-
 use std::f32::consts::PI;
 use std::sync::Arc;
 

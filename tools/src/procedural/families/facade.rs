@@ -1,5 +1,3 @@
-//! House front with a street.
-
 use std::f32::consts::FRAC_PI_2;
 
 use glam::Vec3A;

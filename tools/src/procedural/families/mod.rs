@@ -1,5 +1,3 @@
-//! Kinds of places: primitives and camera positions.
-
 mod clutter;
 mod facade;
 mod room;
@@ -18,17 +16,12 @@ use super::photos::Photos;
 use super::rng::Rng;
 use super::world::{Key, Light, Room, Sky, World};
 
-/// Kind of place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Family {
-    /// Furnished room from inside.
     Room,
-    /// Objects on a table.
     Table,
-    /// House front.
     Facade,
-    /// Hills with trees, rocks and houses.
     Terrain,
     /// Heap of primitives, outdoors or between walls.
     Clutter,
@@ -47,7 +40,6 @@ impl fmt::Display for Family {
 }
 
 impl Family {
-    /// All families.
     pub const ALL: [Self; 5] = [Self::Room, Self::Table, Self::Facade, Self::Terrain, Self::Clutter];
 
     pub(super) fn build(self, rng: Rng, photos: &Photos) -> (World, Stage) {

@@ -1,5 +1,3 @@
-//! A furnished room.
-
 use std::f32::consts::{FRAC_PI_2, PI};
 
 use glam::Vec3A;

@@ -1,5 +1,3 @@
-//! Close-up of objects on a table.
-
 use std::f32::consts::PI;
 
 use glam::{Vec3A, Vec3Swizzles};

@@ -1,5 +1,3 @@
-//! Hills with trees, rocks and houses, from the ground and from the air.
-
 use std::f32::consts::PI;
 use std::sync::Arc;
 

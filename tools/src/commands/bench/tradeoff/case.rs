@@ -1,5 +1,3 @@
-//! Reconstructions of a sweep.
-
 use super::{
     Tradeoff,
     point::{arithmetic, name},
@@ -28,15 +26,13 @@ pub struct Case<'a> {
     /// Rounded type, or [`OWN`].
     pub weights: &'a str,
     pub select: String,
-    /// As on the command line.
     pub ratio: String,
     pub settings: String,
     pub keep: &'a [usize],
     pub refine: Vec<(Initialization, RefineTask)>,
 }
 
-/// Returns combinations without equal results. Lists' first values come first; each ratio is
-/// combined with every number of photos.
+/// Returns combinations without equal results, the lists' first values first.
 pub fn all<'a>(
     args: &Tradeoff,
     architecture: &Architecture,
@@ -90,7 +86,6 @@ pub fn all<'a>(
 }
 
 impl Case<'_> {
-    /// Returns true for all tokens or the first selection, and the first pooling.
     pub fn is_first(&self, args: &Tradeoff) -> bool {
         let chosen = self.shape.kept == TokenSampling::All || self.request.token_selection == args.token_selection[0];
         chosen && self.request.kv_pool == args.kv_pool[0]

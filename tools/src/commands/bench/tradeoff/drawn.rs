@@ -1,5 +1,3 @@
-//! Pictures and scores of a point.
-
 use super::{point::Point, truth::Compared};
 use crate::{
     capture::{Score, ViewSplit, draw},

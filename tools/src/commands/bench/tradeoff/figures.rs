@@ -1,7 +1,5 @@
-//! Plots: the Pareto front, and counterparts of the paper's figures 1, 8, 10, 11 and 12.
-//!
-//! Each varies one setting by color, at the first precision, with all Gaussians and without
-//! refinement otherwise.
+//! Plots: the Pareto front, and the paper's figures 1, 8, 10, 11 and 12. Each varies one setting by
+//! color, at the first precision, otherwise with all Gaussians and without refinement.
 
 use super::{
     point::{Point, front, name},
@@ -24,7 +22,6 @@ const GAUSSIANS: Axis<'_> = log("Gaussians");
 const VIEWS: Axis<'_> = linear("input photos");
 const SHARE: Axis<'_> = log("share of tokens");
 
-/// Setting by color, and its value at a point.
 type Meaning = (&'static str, fn(&Point) -> String);
 
 const PHOTOS: Meaning = ("input photos", |p| p.views.to_string());
@@ -35,7 +32,6 @@ const KEPT: Meaning = ("Gaussians a token", |p| p.max_gaussians_per_token.to_str
 const POOL: Meaning = ("side of pooled patches", |p| p.kv_pool.to_string());
 const STEPS: Meaning = ("steps of refinement", Point::refinement);
 
-/// Index in the sweep and point.
 type Numbered<'a> = (usize, &'a Point);
 
 pub fn pareto(points: &[Point]) -> String {
@@ -112,7 +108,6 @@ fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Num
     points.iter().copied().filter(|(_, p)| keeps(p)).collect()
 }
 
-/// Empty without results.
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
     let keep = points.iter().map(|p| p.max_gaussians_per_token).max().unwrap_or(0);
     let own = name(&TokenSelection::KMEANS);

@@ -31,9 +31,9 @@ use zipsplat::{
 
 /// Quality over time: sweeps settings over a capture, with plots, pictures and a table
 ///
-/// Reconstructs every combination of the lists, most informative first, within --minutes, and
-/// compares it with held-out photos. The page recommends three settings (fast, balanced and best),
-/// and shows a picture and the command of every point.
+/// Reconstructs every combination of the lists, most informative first, and compares it with
+/// held-out photos. The page recommends a fast, a balanced and a best setting, and shows each
+/// point's picture and command.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -69,9 +69,8 @@ pub struct Tradeoff {
     /// Gaussians kept per token, by visibility [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     max_gaussians_per_token: Option<Vec<Keep>>,
-    /// Refinement steps, or 100:tokens for the scene's tokens. Combined with every number of photos
-    /// and share of the tokens, with all Gaussians and first values otherwise. Always includes 0,
-    /// no refinement
+    /// Refinement steps, or 100:tokens for the scene's tokens; 0 is always included. Combined with
+    /// every number of photos and share of the tokens, with all Gaussians, otherwise first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<RefineTask>,
     /// Initializations of the refinement. Points need no network [default: scene, and points if the
@@ -81,9 +80,9 @@ pub struct Tradeoff {
     /// Arithmetics: fp32, fp16, bf16, int8 [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
-    /// Types to round the weights to, as `convert --dtype`: f16, bf16, q8. Combined with every
-    /// number of photos and share of the tokens, and first values otherwise. Always includes own,
-    /// the weights as stored
+    /// Types to round the weights to, as `convert --dtype`: f16, bf16, q8; the weights as stored
+    /// are always included. Combined with every number of photos and share of the tokens, otherwise
+    /// first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
     dtype: Vec<Option<Dtype>>,
     /// Largest number of compared photos
@@ -91,10 +90,10 @@ pub struct Tradeoff {
     targets: u32,
     #[command(flatten)]
     weights: Weights,
-    /// Pixels of each photo for the network [default: the weights' best size]
+    /// Network input size [default: the trained size]
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
-    /// Length in the cameras' unit that is 1 for the network [default: as of `eval`]
+    /// Length of the network's unit in the cameras' unit [default: as of `eval`]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// Untimed runs before the measurement

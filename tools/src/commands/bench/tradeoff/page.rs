@@ -1,5 +1,3 @@
-//! HTML report.
-
 use super::{
     Tradeoff, figures,
     point::{Point, front, recommended},
@@ -90,7 +88,6 @@ fn took(ms: f64) -> String {
     time(Duration::from_secs_f64(ms / 1e3))
 }
 
-/// Colors `marked` rows green.
 fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) -> String {
     let mut html = String::from(
         "<table><tr><th>photos<th>precision<th class=\"wide\">weights<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\

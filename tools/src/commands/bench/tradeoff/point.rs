@@ -1,5 +1,3 @@
-//! Settings and results of a combination.
-
 use super::rounded::OWN;
 use crate::table::counted;
 use serde::Serialize;
@@ -11,7 +9,6 @@ pub struct Point {
     pub precision: String,
     pub weights: String,
     pub weight_bytes: u64,
-    /// Kept share.
     pub ratio: f64,
     /// As on the command line, including `auto`.
     #[serde(skip)]
@@ -28,7 +25,6 @@ pub struct Point {
     pub gaussians: usize,
     /// Photos to Gaussians, median.
     pub forward_ms: f64,
-    /// Single run.
     pub refine_ms: f64,
     pub total_ms: f64,
     /// One picture, median.
@@ -39,8 +35,8 @@ pub struct Point {
     pub ssim: f64,
     /// Against `fp32` with equal settings; absent for `fp32`.
     pub psnr_to_fp32: Option<f64>,
-    /// Against the f64 Gaussians of the same tokens; absent after refinement. This and all errors
-    /// are absent if f64 would take too long.
+    /// Against the f64 Gaussians of the same tokens; absent after refinement. All f64 comparisons
+    /// are absent if they would take too long.
     pub psnr_to_f64: Option<f64>,
     /// Relative rms deviations from f64 by stage, before pruning and refinement.
     pub error_backbone: Option<f64>,
@@ -143,9 +139,9 @@ pub fn front(points: &[Point]) -> Vec<usize> {
     order
 }
 
-/// Recommends up to three points of the front. `best` has the highest PSNR. `fast` is the fastest
-/// with half of the front's gain in dB. `balanced` is farthest above their connecting line in dB
-/// over log time.
+/// Recommends up to three points of the front: `best` by PSNR, `fast` as the fastest with half of
+/// the front's gain in dB, and `balanced`, farthest above their connecting line in dB over log
+/// time.
 pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
     let front = front(points);
     let (Some(first), Some(best)) = (front.first(), front.last()) else { return Vec::new() };

@@ -1,5 +1,3 @@
-//! Refinements of a reconstruction.
-
 use crate::{capture::ViewSplit, refinement::RefineTask, session::Stage};
 use zipsplat::{
     Error, Result,
@@ -9,7 +7,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Refines as `zipsplat eval --refine STEPS`.
 pub fn refine(
     model: &Model,
     checkpoint: &Checkpoint,

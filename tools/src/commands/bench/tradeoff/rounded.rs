@@ -1,5 +1,3 @@
-//! Weights rounded to smaller types.
-
 use super::Tradeoff;
 use crate::{scratch::Scratch, session::Session};
 use zipsplat::{

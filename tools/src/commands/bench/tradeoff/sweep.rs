@@ -1,5 +1,3 @@
-//! Measurement of all combinations.
-
 use super::{
     Minutes, Tradeoff,
     case::{self, Case},
@@ -45,7 +43,6 @@ pub struct Sweep {
     pub points: Vec<Point>,
     /// With every token, by number of views.
     pub stages: Vec<(usize, StageTimes)>,
-    /// First target, by point.
     pub pictures: Vec<Image>,
     pub planned: usize,
     /// By number of views, settings and Gaussians kept.
@@ -68,7 +65,6 @@ struct Forward {
     /// Median.
     ms: f64,
     views_per_cluster: Option<f64>,
-    /// Absent if f64 would take too long.
     compared: Option<Compared>,
 }
 
@@ -87,7 +83,7 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures until the time limit; also returns whether to stop the command.
+/// Also returns whether to stop the command.
 pub fn run(
     args: &Tradeoff,
     session: &mut Session<'_>,
@@ -135,8 +131,7 @@ pub fn run(
 
 type Network<'a> = (&'a str, &'a Checkpoint, (Precision, Arithmetic));
 
-/// Returns measurement order, with the network's index: first choices with every network, then the
-/// others.
+/// Returns measurement order: first choices with every network, then the others.
 fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> Vec<(usize, Vec<Case<'a>>)> {
     let mut passes = Vec::new();
     for begins in [true, false] {
@@ -180,7 +175,6 @@ impl Bench<'_> {
         self.args.minutes.0.map_or(0.0, |time| self.began.elapsed().div_duration_f64(time))
     }
 
-    /// Breaks at the time limit.
     fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<ControlFlow<()>> {
         let forward = self.forward(model, case, stage)?;
         for keep in case.keep {

@@ -1,7 +1,6 @@
-//! Deviation of a reconstruction from f64, stage by stage.
+//! Deviation of a reconstruction from f64, by stage.
 //!
-//! All precisions use the first one's tokens: rounding may flip a near tie of k-means, which is no
-//! arithmetic error.
+//! All precisions use the first one's tokens: rounding may flip a near tie of k-means.
 
 use crate::capture::ViewSplit;
 use std::{collections::HashMap, ops::Range};
@@ -21,7 +20,6 @@ use zipsplat_reference::{
 /// Limit of an f64 reference: seconds on a CPU.
 pub const MOST_FLOPS: u64 = 20_000_000_000;
 
-/// Relative rms deviations from f64.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Errors {
     /// Tokens of all output layers.
@@ -43,7 +41,6 @@ pub struct Compared {
 
 pub struct Truth<'a> {
     checkpoint: &'a Checkpoint,
-    /// Loaded on demand.
     reference: Option<Reference>,
     /// By number of views and pooling.
     tokens: HashMap<[usize; 2], Tokens>,
@@ -53,7 +50,6 @@ pub struct Truth<'a> {
 
 struct KnownTokens {
     chosen: Vec<u32>,
-    /// Intermediate tensors after clustering.
     taps: Taps,
 }
 
@@ -62,8 +58,8 @@ impl<'a> Truth<'a> {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
 
-    /// Compares a reconstruction with f64. `settings` exclude precision. The first call's `chosen`
-    /// tokens apply to all later calls with equal settings.
+    /// Compares a reconstruction with f64. `settings` exclude precision. Later calls with equal
+    /// settings use the first call's `chosen` tokens.
     pub fn compare(
         &mut self,
         model: &Model,
@@ -118,7 +114,6 @@ impl<'a> Truth<'a> {
     }
 }
 
-/// Returns a finished run whose tensors of all stages can be read.
 pub fn observe(model: &Model, images: &[Image], request: &ReconstructOptions) -> Result<(Run, Tensors)> {
     let shape = model.shape(images, request)?;
     let (plan, tensors) = model.record(shape, true)?;
@@ -128,7 +123,6 @@ pub fn observe(model: &Model, images: &[Image], request: &ReconstructOptions) ->
     Ok((run, tensors))
 }
 
-/// Relative rms difference; NaN for missing values.
 fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 {
     let (mut count, mut squares, mut apart) = (0, 0.0, 0.0);
     for (found, truth) in found.iter().zip(truth) {

@@ -30,12 +30,10 @@ use zipsplat::{
 
 /// Scenes of many captures, by one model that stays on the device.
 ///
-/// Each capture becomes `OUT/NAME.ply` and a record of its inputs, `OUT/NAME.json`. A capture is
-/// finished if its scene exists and was made of the same photos, by name, size and time, with the
-/// same options. A failed capture is a row of `OUT/failures.csv`.
+/// A capture is finished if its scene exists and was made of the same photos, by name, size and
+/// time, with the same options.
 pub struct Batch<'a> {
     command: &'a Reconstruct,
-    /// Cameras are those of the captures' folders.
     posed: bool,
 }
 
@@ -179,7 +177,6 @@ impl<'a> Batch<'a> {
         Ok(!photos_of(folder)?.is_empty() || self.posed && Capture::open(folder).is_ok())
     }
 
-    /// All but the capture.
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = stamp_of_weights(weights)?;
         let Reconstruct { quality, views, format, .. } = self.command;
@@ -322,7 +319,6 @@ fn write(work: &Work, finished: FinishedScene) -> Result<()> {
     outputs::save_json(&work.record, &record)
 }
 
-/// Complete, of equal inputs and options.
 fn is_finished(work: &Work, hash: &str) -> bool {
     let read = || serde_json::from_slice::<Value>(&std::fs::read(&work.record).ok()?).ok();
     let bytes = work.scene.metadata().map(|found| found.len()).ok();
