@@ -62,7 +62,7 @@ impl SceneTokens {
         self.scene_scale
     }
 
-    /// Memory of the tensor.
+    /// Memory.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.memory
     }

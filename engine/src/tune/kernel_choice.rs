@@ -1,5 +1,3 @@
-//! Arithmetic without kernels that failed their self-test.
-
 use super::{SelfTest, Tuning};
 use crate::{
     Error, Result,
@@ -11,16 +9,14 @@ use std::ops::ControlFlow;
 /// A precision's arithmetic on a device.
 #[derive(Clone, Debug)]
 pub struct KernelChoice {
-    /// Precision.
     pub precision: Precision,
-    /// Arithmetic.
     pub arithmetic: Arithmetic,
     /// Failed kernels, for the user.
     pub warnings: Vec<String>,
 }
 
 impl KernelChoice {
-    /// Returns the arithmetic of a precision, by default the best.
+    /// By default the best precision.
     ///
     /// # Errors
     /// [`Error::Argument`] if unsupported; device failures.
@@ -28,7 +24,7 @@ impl KernelChoice {
         Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
     }
 
-    /// [`KernelChoice::of`], with progress of the first self-test.
+    /// With progress of the first self-test.
     pub fn of_with(
         device: &Device,
         precision: Option<Precision>,
@@ -50,7 +46,7 @@ impl KernelChoice {
         Ok(Self { precision: wanted, arithmetic: tuned(device, arithmetic), warnings })
     }
 
-    /// Returns the f32 arithmetic, which needs no test.
+    /// Needs no test.
     pub fn exact(device: &Device) -> Arithmetic {
         tuned(device, Arithmetic::EXACT)
     }

@@ -1,4 +1,4 @@
-//! Adoption of an app's Vulkan device: requirements and borrowed handles.
+//! Adoption of an app's Vulkan device.
 
 use super::{
     Shared, SharedParts,
@@ -25,9 +25,9 @@ pub enum Requirement {
     DeviceExtension(&'static CStr),
     /// Feature and the structure that declares it.
     Feature {
-        /// The field.
+        /// Field.
         name: &'static CStr,
-        /// The structure.
+        /// Structure.
         structure: &'static CStr,
     },
 }
@@ -62,11 +62,11 @@ pub struct Adopted {
     pub queue: *mut c_void,
     /// Family of the queue, with compute support.
     pub queue_family: u32,
-    /// Lock that serializes use of the queue; `None` if the engine is its only user.
+    /// Serializes use of the queue; `None` if the engine is its only user.
     pub queue_lock: Option<QueueLock>,
     /// Whether every supported feature of [`fast_requirements`] is enabled.
     pub fast: bool,
-    /// Folder of self-test results and kernel timings; `None` keeps none.
+    /// As [`DeviceOptions::cache_dir`](crate::DeviceOptions::cache_dir).
     pub cache_dir: Option<PathBuf>,
 }
 
@@ -99,13 +99,13 @@ impl Device {
             return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));
         }
         let family = adopted.queue_family;
-        // SAFETY: the caller vouches for the physical device.
+        // SAFETY: as vouched by the caller.
         let families = unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
         if !families.get(family as usize).is_some_and(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE)) {
             return Err(Error::argument("queue family", family, "one that can compute"));
         }
         limits.timestamp_bits = families[family as usize].timestamp_valid_bits;
-        // SAFETY: the caller vouches for the device.
+        // SAFETY: as vouched by the caller.
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), vk::Device::from_raw(device)) };
         let queue = Queue::new(vk::Queue::from_raw(queue), adopted.queue_lock);
         let parts = SharedParts {

@@ -12,12 +12,9 @@ use crate::{
 };
 use std::fmt;
 
-/// Lane configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lanes {
-    /// Type of the factors.
     pub element: Element,
-    /// Tiles by result size.
     pub tiles: Tiles,
 }
 
@@ -40,7 +37,7 @@ impl Lanes {
 }
 
 impl LaneTile {
-    /// Returns the candidates, defaults first.
+    /// Candidates, defaults first.
     pub fn candidates(limits: &Limits, element: Element) -> Vec<Self> {
         if element == Element::I8 {
             return Self::of_dots(limits);
@@ -74,7 +71,6 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 64 },
         ];
         let cpu = [LaneTile { sides: [32, 8 * limits.subgroup_size], lane: [8, 8], k: 32 }];
-        // Mirrors kernels/ops/linear_dot.comp.
         let shared_bytes = |tile: &Self| 8 * tile.sides.iter().sum::<u32>() * (tile.k / 8 + 1);
         let tiles = if limits.cpu { &cpu } else { GPU }.iter().copied();
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
@@ -84,7 +80,6 @@ impl LaneTile {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
 
-    /// Mirrors kernels/ops/linear_tiled.comp.
     fn shared_bytes(&self) -> u32 {
         let [rows, columns] = self.sides;
         16 * (rows * (self.k / 4 + 1) + self.k * columns / 4)

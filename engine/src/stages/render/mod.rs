@@ -39,13 +39,12 @@ pub(crate) use range::check_camera;
 pub use renderer::Renderer;
 pub use scene::{DeviceScene, SceneMemory, SceneSource, WeakScene};
 
-/// Outputs of [`record`].
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32, the requested of RGB, alpha, depth, normals, token
     /// colors.
     pub frames: Tensor,
-    /// Frames in [`RenderOptions::layout`].
+    /// In [`RenderOptions::layout`].
     pub pixels: Tensor,
     /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped.
     pub status: Tensor,
@@ -53,9 +52,6 @@ pub struct RenderOutputs {
 
 impl RenderOutputs {
     /// Reads the required capacity, at most 2^32. Redraw if it exceeds the recorded one.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn needed(&self, run: &Run) -> Result<usize> {
         let status: Vec<u32> = run.read(self.status)?;
         Ok(if status[2] == 0 { status[1] as usize } else { 1 << 32 })
