@@ -128,7 +128,7 @@ impl Camera {
         self.pose.view_matrix()
     }
 
-    /// Returns a visible world point's pixel coordinates and depth.
+    /// Returns a world point's pixel coordinates and depth, if it is in the picture.
     pub fn project(&self, point: DVec3) -> Option<DVec3> {
         let (i, p) = (&self.intrinsics, self.pose.inverse().transform(point));
         let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);

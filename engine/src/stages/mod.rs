@@ -74,9 +74,7 @@ pub enum Reference {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewGrid {
     pub views: usize,
-    /// From top to bottom.
     pub rows: usize,
-    /// From left to right.
     pub columns: usize,
     /// In pixels.
     pub patch_size: usize,
@@ -122,18 +120,13 @@ pub struct SceneTensors {
     pub sh_degree: u32,
 }
 
-/// Gradients of the stored values, such as unnormalized quaternions.
+/// Gradients of the stored values, such as unnormalized quaternions, in their shapes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneGradients {
-    /// `[len, 3]`.
     pub means: Tensor,
-    /// `[len, 3]`.
     pub scales: Tensor,
-    /// `[len, 4]`.
     pub quats: Tensor,
-    /// `[len]`.
     pub opacities: Tensor,
-    /// `[len, (sh_degree + 1)^2, 3]`.
     pub sh_coeffs: Tensor,
 }
 

@@ -16,7 +16,7 @@ pub struct KernelChoice {
 }
 
 impl KernelChoice {
-    /// By default the best precision.
+    /// Returns the arithmetic of a precision, by default the best.
     ///
     /// # Errors
     /// [`Error::Argument`] if unsupported; device failures.
@@ -24,7 +24,7 @@ impl KernelChoice {
         Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
     }
 
-    /// With progress of the first self-test.
+    /// [`KernelChoice::of`], with progress of the first self-test.
     pub fn of_with(
         device: &Device,
         precision: Option<Precision>,
@@ -46,7 +46,7 @@ impl KernelChoice {
         Ok(Self { precision: wanted, arithmetic: tuned(device, arithmetic), warnings })
     }
 
-    /// Needs no test.
+    /// Returns the f32 arithmetic, which needs no test.
     pub fn exact(device: &Device) -> Arithmetic {
         tuned(device, Arithmetic::EXACT)
     }

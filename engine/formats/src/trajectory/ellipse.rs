@@ -62,7 +62,7 @@ impl Ellipse {
         Pose { rotation: looking(forward, self.up, level), translation }
     }
 
-    /// Returns `frames` cameras once around.
+    /// Returns `frames` cameras once around, without repeating the first.
     pub fn sample(&self, frames: usize) -> Vec<Pose> {
         closed_path(frames).map(|fraction| self.pose(std::f64::consts::TAU * fraction)).collect()
     }

@@ -62,7 +62,7 @@ impl Head {
         kept
     }
 
-    /// With persistent activations.
+    /// [`Head::record`] with persistent activations.
     pub fn record_kept(&self, rec: &mut Recorder, tokens: Tensor, kept: &HeadKept, into: &SceneTensors) {
         rec.scope("head", |rec| {
             let ([first, second, third], HeadKept { hidden, raw, scene_scale }) = (&self.layers, *kept);

@@ -9,7 +9,7 @@ use glam::DVec4;
 /// Rows of the world-to-camera rotation with the center, then `(fx, fy, cx, cy)` in pixels.
 pub type CameraRows = [[f32; 4]; 8];
 
-/// 48-bit precision.
+/// Converts a camera to 48-bit precision.
 pub fn camera_rows(camera: &Camera) -> CameraRows {
     let (i, Pose { rotation, translation }) = (&camera.intrinsics, &camera.pose);
     let row = |r: usize| rotation.col(r).extend(translation[r]);

@@ -97,7 +97,7 @@ impl SceneMemory {
         DeviceScene(gaussians)
     }
 
-    /// Drops zero SH bands.
+    /// Uploads a scene without zero SH bands.
     pub fn write(&mut self, scene: &Scene) -> Result<DeviceScene> {
         let Self { memory, tensors, .. } = self;
         memory.write(tensors.means, &scene.means)?;
