@@ -223,8 +223,8 @@ typedef struct zs_device_info {
 typedef struct zs_device_options {
     // sizeof(zs_device_options).
     uint32_t struct_size;
-    // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER. 0
-    // enables it only if the environment variable ZIPSPLAT_VALIDATION is 1.
+    // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER, as
+    // does ZIPSPLAT_VALIDATION=1 in the environment.
     uint32_t validation;
     // Device memory budget, checked before submission; 0 is unlimited.
     uint64_t max_memory_bytes;
@@ -235,7 +235,7 @@ typedef struct zs_device_options {
     const char *cache_dir;
 } zs_device_options;
 
-// Counts Vulkan devices, usable or not. Without a loader or driver: ZS_ERROR_NO_DEVICE.
+// Counts Vulkan devices, usable or not.
 zs_status zs_device_count(size_t *count);
 
 // Describes device `index`, less than zs_device_count.
@@ -317,12 +317,11 @@ typedef struct zs_image {
     const void *pixels;
 } zs_image;
 
-// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
-// keeps the high byte of 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use
-// zs_capture_open_image.
+// Opens a PNG, JPEG or WebP. Applies the EXIF orientation, drops alpha and keeps the high byte of
+// 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use zs_capture_open_image.
 zs_status zs_image_buffer_open(const char *path, struct zs_image_buffer **photo);
 
-// Decodes a photo from memory, as zs_image_buffer_open.
+// As zs_image_buffer_open, from memory.
 zs_status zs_image_buffer_from_memory(const void *data, size_t size, struct zs_image_buffer **photo);
 
 // Returns the pixels, as ZS_PIXEL_RGB8.
@@ -567,11 +566,11 @@ typedef struct zs_model_options {
 typedef struct zs_model_info {
     // sizeof(zs_model_info).
     uint32_t struct_size;
-    // Native side of its square input.
+    // Native side of the square input.
     uint32_t image_size;
     // Patch side, which divides the sides of input images.
     uint32_t patch_size;
-    // Gaussians per token. At ratio 1 a photo has width / patch_size * height / patch_size tokens.
+    // Gaussians per token; at ratio 1 every patch is a token.
     uint32_t gaussians_per_token;
     // Degree of spherical harmonics.
     uint32_t sh_degree;
@@ -1024,7 +1023,7 @@ zs_status zs_renderer_create(const struct zs_device *device,
                              const struct zs_scene *scene,
                              struct zs_renderer **renderer);
 
-// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, set a
+// Replaces the scene, cheaply for an equal number of Gaussians and degree. After a failure, set a
 // scene successfully before drawing.
 zs_status zs_renderer_set_scene(struct zs_renderer *renderer, const struct zs_scene *scene);
 
@@ -1130,7 +1129,7 @@ typedef struct zs_vulkan_requirement {
 // vkGetInstanceProcAddr, cast to a function without arguments.
 typedef void (*zs_vulkan_function)(void);
 
-// Locks or unlocks a queue. Must return and must not call this library.
+// Locks or unlocks a queue. Must not call this library.
 typedef void (*zs_queue_lock)(void *user_data);
 
 // Borrowed Vulkan handles, never destroyed.
@@ -1149,9 +1148,8 @@ typedef struct zs_vulkan_device {
     void *device;
     // VkQueue. Submissions happen only on calling threads.
     void *queue;
-    // Called on the submitting thread before each submission to `queue`, and `unlock_queue` right
-    // after it. The lock is never held while waiting. Do not hold it when calling the library.
-    // NULL if the queue is not shared during calls.
+    // Called before each submission to `queue`, and `unlock_queue` right after it, on the same
+    // thread. Do not hold the lock when calling the library. NULL if the queue is not shared.
     zs_queue_lock lock_queue;
     // NULL exactly if `lock_queue` is.
     zs_queue_lock unlock_queue;
@@ -1191,7 +1189,7 @@ typedef struct zs_vulkan_target {
     uint32_t mip_level;
     // Array layer.
     uint32_t array_layer;
-    // VkImageLayout after the waits; VK_IMAGE_LAYOUT_UNDEFINED may discard contents.
+    // VkImageLayout after the waits.
     int32_t old_layout;
     // VkImageLayout at the signals; 0 is VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     int32_t new_layout;
@@ -1211,7 +1209,7 @@ typedef struct zs_vulkan_target {
     const struct zs_semaphore_point *signals;
 } zs_vulkan_target;
 
-// Lists required and optional features for zs_device_from_vulkan. Needs no device.
+// Lists the requirements of zs_device_from_vulkan.
 zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list, size_t *count);
 
 // Adopts the caller's device. All required features must be enabled; this cannot be checked.

@@ -60,8 +60,8 @@ pub(super) type zs_device_kind_value = i32;
 pub struct zs_device_options {
     /// sizeof(zs_device_options).
     pub struct_size: u32,
-    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER. 0
-    /// enables it only if the environment variable ZIPSPLAT_VALIDATION is 1.
+    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER, as
+    /// does ZIPSPLAT_VALIDATION=1 in the environment.
     pub validation: u32,
     /// Device memory budget, checked before submission; 0 is unlimited.
     pub max_memory_bytes: u64,
@@ -74,7 +74,7 @@ pub struct zs_device_options {
 
 versioned!(zs_device_info, zs_device_options);
 
-/// Counts Vulkan devices, usable or not. Without a loader or driver: ZS_ERROR_NO_DEVICE.
+/// Counts Vulkan devices, usable or not.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_count(count: *mut usize) -> zs_status {
     guard(|| {

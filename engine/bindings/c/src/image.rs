@@ -83,9 +83,8 @@ pub struct zs_image_buffer {
     pub(super) image: Image,
 }
 
-/// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
-/// keeps the high byte of 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use
-/// zs_capture_open_image.
+/// Opens a PNG, JPEG or WebP. Applies the EXIF orientation, drops alpha and keeps the high byte of
+/// 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use zs_capture_open_image.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_open(path: *const c_char, photo: *mut *mut zs_image_buffer) -> zs_status {
     // SAFETY: the caller's arguments.
@@ -94,7 +93,7 @@ pub unsafe extern "C" fn zs_image_buffer_open(path: *const c_char, photo: *mut *
     unsafe { produce(photo, open) }
 }
 
-/// Decodes a photo from memory, as zs_image_buffer_open.
+/// As zs_image_buffer_open, from memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_from_memory(
     data: *const c_void,

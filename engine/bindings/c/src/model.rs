@@ -51,11 +51,11 @@ pub struct zs_model_options {
 pub struct zs_model_info {
     /// sizeof(zs_model_info).
     pub struct_size: u32,
-    /// Native side of its square input.
+    /// Native side of the square input.
     pub image_size: u32,
     /// Patch side, which divides the sides of input images.
     pub patch_size: u32,
-    /// Gaussians per token. At ratio 1 a photo has width / patch_size * height / patch_size tokens.
+    /// Gaussians per token; at ratio 1 every patch is a token.
     pub gaussians_per_token: u32,
     /// Degree of spherical harmonics.
     pub sh_degree: u32,

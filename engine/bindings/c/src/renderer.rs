@@ -136,7 +136,7 @@ impl zs_renderer {
     }
 }
 
-/// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, set a
+/// Replaces the scene, cheaply for an equal number of Gaussians and degree. After a failure, set a
 /// scene successfully before drawing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *mut zs_renderer, scene: *const zs_scene) -> zs_status {

@@ -49,7 +49,7 @@ pub struct zs_vulkan_requirement {
 /// vkGetInstanceProcAddr, cast to a function without arguments.
 pub type zs_vulkan_function = Option<unsafe extern "C" fn()>;
 
-/// Locks or unlocks a queue. Must return and must not call this library.
+/// Locks or unlocks a queue. Must not call this library.
 pub type zs_queue_lock = Option<unsafe extern "C" fn(user_data: *mut c_void)>;
 
 /// Borrowed Vulkan handles, never destroyed.
@@ -70,9 +70,8 @@ pub struct zs_vulkan_device {
     pub device: *mut c_void,
     /// VkQueue. Submissions happen only on calling threads.
     pub queue: *mut c_void,
-    /// Called on the submitting thread before each submission to `queue`, and `unlock_queue` right
-    /// after it. The lock is never held while waiting. Do not hold it when calling the library.
-    /// NULL if the queue is not shared during calls.
+    /// Called before each submission to `queue`, and `unlock_queue` right after it, on the same
+    /// thread. Do not hold the lock when calling the library. NULL if the queue is not shared.
     pub lock_queue: zs_queue_lock,
     /// NULL exactly if `lock_queue` is.
     pub unlock_queue: zs_queue_lock,
@@ -116,7 +115,7 @@ pub struct zs_vulkan_target {
     pub mip_level: u32,
     /// Array layer.
     pub array_layer: u32,
-    /// VkImageLayout after the waits; VK_IMAGE_LAYOUT_UNDEFINED may discard contents.
+    /// VkImageLayout after the waits.
     pub old_layout: i32,
     /// VkImageLayout at the signals; 0 is VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     pub new_layout: i32,
@@ -161,7 +160,7 @@ static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
     Requirements(needed.chain(optional).map(entry).collect())
 });
 
-/// Lists required and optional features for zs_device_from_vulkan. Needs no device.
+/// Lists the requirements of zs_device_from_vulkan.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_requirements(
     list: *mut *const zs_vulkan_requirement,
