@@ -6,8 +6,8 @@
 // Candidates [shares, points] u32, of cluster/nearest_matrix
 // Out        [points] u32, targets
 //
-// f32 differences decide between targets within the error bound. Of three distinct targets that
-// tie within a share, only two are candidates. One workgroup (a subgroup) owns one point.
+// f32 differences decide between targets within the error bound. Of three distinct targets that tie
+// within a share, only two are candidates. One subgroup owns one point.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require

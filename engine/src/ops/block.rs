@@ -34,6 +34,7 @@ pub(super) struct Mlp {
     activation: Activation,
 }
 
+/// Sequences in a residual stream `[sequences * tokens, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequences {
     /// Independent sequences.

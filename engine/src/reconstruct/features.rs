@@ -62,7 +62,7 @@ impl SceneTokens {
         self.scene_scale
     }
 
-    /// Memory.
+    /// Memory of the tensor.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.memory
     }

@@ -59,7 +59,7 @@ pub struct ReconstructOptions {
     pub scene_scale: Option<f64>,
     /// Capture for the default scene scale.
     pub capture: Option<Capture>,
-    /// By default the cameras' world, if known.
+    /// Coordinate frame, by default the cameras' world if known.
     pub world: Option<SceneFrame>,
     /// Width and height of the network's input, multiples of the patch size, by default the trained
     /// size. Photos are cropped to its shape.

@@ -99,13 +99,13 @@ impl Device {
             return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));
         }
         let family = adopted.queue_family;
-        // SAFETY: as vouched by the caller.
+        // SAFETY: the caller vouches for the physical device.
         let families = unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
         if !families.get(family as usize).is_some_and(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE)) {
             return Err(Error::argument("queue family", family, "one that can compute"));
         }
         limits.timestamp_bits = families[family as usize].timestamp_valid_bits;
-        // SAFETY: as vouched by the caller.
+        // SAFETY: the caller vouches for the device.
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), vk::Device::from_raw(device)) };
         let queue = Queue::new(vk::Queue::from_raw(queue), adopted.queue_lock);
         let parts = SharedParts {

@@ -52,7 +52,7 @@ impl Recorder {
         self.allocate::<T>(name, len, Role::Input)
     }
 
-    /// Adds a tensor that the host writes once.
+    /// Adds a tensor that the host writes once, kept between runs.
     pub fn constant<T>(&mut self, name: &str, len: usize) -> Tensor {
         self.allocate::<T>(name, len, Role::Constant)
     }

@@ -71,6 +71,7 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 64 },
         ];
         let cpu = [LaneTile { sides: [32, 8 * limits.subgroup_size], lane: [8, 8], k: 32 }];
+        // Mirrors kernels/ops/linear_dot.comp.
         let shared_bytes = |tile: &Self| 8 * tile.sides.iter().sum::<u32>() * (tile.k / 8 + 1);
         let tiles = if limits.cpu { &cpu } else { GPU }.iter().copied();
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
@@ -80,6 +81,7 @@ impl LaneTile {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
 
+    /// Mirrors kernels/ops/linear_tiled.comp.
     fn shared_bytes(&self) -> u32 {
         let [rows, columns] = self.sides;
         16 * (rows * (self.k / 4 + 1) + self.k * columns / 4)

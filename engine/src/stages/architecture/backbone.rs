@@ -1,7 +1,7 @@
 use crate::ops::Ffn;
 use serde::{Deserialize, Serialize};
 
-/// Transformer sizes.
+/// Transformer sizes. Blocks count from 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackboneArchitecture {

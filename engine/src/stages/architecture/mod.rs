@@ -23,7 +23,7 @@ pub(crate) const MAX_SIZE: usize = 1 << 16;
 pub(crate) const MAX_DEPTH: usize = 256;
 const MAX_SH_DEGREE: usize = 3;
 
-/// Hyperparameters.
+/// Hyperparameters. Blocks count from 0.
 ///
 /// Source: ZipSplat, section 3 and appendix A; Depth Anything 3.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -58,6 +58,7 @@ pub struct Architecture {
     pub color_hidden: usize,
     pub head_hidden: usize,
     pub gaussians_per_token: usize,
+    /// At most 3.
     pub sh_degree: usize,
 }
 

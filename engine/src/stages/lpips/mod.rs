@@ -35,7 +35,7 @@ pub struct LpipsPictures {
     /// Images and their channels, RGB first.
     pub pictures: [(Tensor, usize); 2],
     pub size: [usize; 2],
-    /// To 0..1, as in the reference's loss only.
+    /// Clamps to 0..1, as in the reference's loss only.
     pub clipped: bool,
 }
 

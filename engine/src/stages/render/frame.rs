@@ -16,7 +16,7 @@ pub struct RenderOptions {
     pub normals: bool,
     /// Token colors: Gaussians per token.
     pub token_group: Option<NonZeroU32>,
-    /// Black costs nothing.
+    /// Background; black costs nothing.
     pub background: [f32; 3],
     /// Opacity compensation for screen-space blur (Mip-Splatting, Yu et al. 2024).
     pub antialiased: bool,

@@ -44,7 +44,7 @@ pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32, the requested of RGB, alpha, depth, normals, token
     /// colors.
     pub frames: Tensor,
-    /// In [`RenderOptions::layout`].
+    /// Frames in [`RenderOptions::layout`].
     pub pixels: Tensor,
     /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped.
     pub status: Tensor,
