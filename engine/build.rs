@@ -1,7 +1,5 @@
-//! Compiles `kernels/**/*.comp` to SPIR-V and generates the typed kernel table (`kernels.rs`).
-//!
-//! SPIR-V is committed under `kernels/spirv/` with a manifest of source hashes, so builds need no
-//! shaderc.
+//! Compiles `kernels/**/*.comp` to SPIR-V and generates the typed kernel table. SPIR-V is committed
+//! in `kernels/spirv/` with source hashes, so builds need no shaderc.
 
 #[path = "build/codegen.rs"]
 mod codegen;
@@ -21,7 +19,7 @@ use std::{env, fs, path::PathBuf};
 fn main() {
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../kernels");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
-    // Of kernels/reference only the list of areas, which grows with every new one.
+    // Of kernels/reference only the list of areas.
     for watched in sources::folders(&root).iter().filter(|name| !["reference", "verify"].contains(&name.as_str())) {
         println!("cargo:rerun-if-changed={}", root.join(watched).display());
     }

@@ -16,22 +16,21 @@ pub fn table(root: &Path, kernels: &[(&Source, Interface)], limits: &str) -> Str
         *areas.entry(area).or_default() += &kernel_struct(root, stem, modules);
     }
     let mut text = String::from("use crate::gpu::{Binding, Element, Kernel, LocalSize, Module, Needs, Tensor};\n\n");
-    writeln!(text, "/// Constants that kernels and host share, from kernels/shared/limits.glsl.\npub mod limits {{")
-        .expect("string");
+    text += "pub mod limits {\n";
     for line in limits.lines().filter_map(|l| l.strip_prefix("const ")) {
-        let (declaration, comment) = line.split_once("//").unwrap_or((line, "Shared with the kernels."));
+        let (declaration, comment) = line.split_once("//").unwrap_or((line, ""));
         let (left, value) = declaration.split_once('=').expect("const TYPE NAME = VALUE;");
         let (ty, name) = left.trim().split_once(' ').expect("const TYPE NAME");
         let value = value.trim().trim_end_matches(';').trim_end_matches('u');
         let ty = if ty == "uint" { "u32" } else { "f32" };
-        writeln!(text, "    /// {}\n    pub const {name}: {ty} = {value};", comment.trim()).expect("string");
+        let comment = comment.trim();
+        writeln!(text, "    /// {comment}\n    pub const {name}: {ty} = {value};").expect("string");
     }
     text += "}\n";
     for (area, body) in &areas {
-        write!(text, "\n/// Kernels of kernels/{area}/.\npub mod {area} {{\n    use super::*;\n{body}}}\n")
-            .expect("string");
+        write!(text, "\npub mod {area} {{\n    use super::*;\n{body}}}\n").expect("string");
     }
-    write!(text, "\n/// Every kernel, by name.\npub static MODULES: &[&Module] = &[\n{all}];\n").expect("string");
+    write!(text, "\npub static MODULES: &[&Module] = &[\n{all}];\n").expect("string");
     text
 }
 

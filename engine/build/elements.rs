@@ -88,7 +88,7 @@ fn declaration(line: &str) -> Option<Declaration<'_>> {
     Some(Declaration::Factor(types.map(known).collect()))
 }
 
-/// Returns every combination of types, f32 first.
+/// Every combination of types, f32 first.
 pub fn choices(text: &str) -> Vec<Vec<(String, Element)>> {
     let mut choices = vec![Vec::new()];
     for declaration in text.lines().filter_map(declaration) {

@@ -7,7 +7,7 @@ use std::{
 };
 
 pub struct Source {
-    /// Path below `kernels/` without its extension, such as `render/project`.
+    /// Path below `kernels/`, such as `render/project`.
     pub kernel: String,
     /// Kernel name with any element types other than f32: `ops/layer_norm_f16`.
     pub name: String,

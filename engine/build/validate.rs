@@ -1,4 +1,4 @@
-//! SPIR-V validation for Vulkan 1.3 with scalar block layout, by shaderc's copy of spirv-tools.
+//! SPIR-V validation for Vulkan 1.3 with scalar block layout, by shaderc's spirv-tools.
 
 use std::{
     ffi::{CStr, c_char, c_int, c_void},

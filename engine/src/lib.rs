@@ -3,7 +3,8 @@
 //!
 //! ```no_run
 //! use std::ops::ControlFlow::Continue;
-//! use zipsplat::{Camera, Device, Image, Model, Ratio, ReconstructOptions, RenderOptions, Renderer};
+//! use zipsplat::{Camera, Device, Image, Model, Ratio};
+//! use zipsplat::{ReconstructOptions, RenderOptions, Renderer};
 //!
 //! # fn main() -> zipsplat::Result<()> {
 //! let device = Device::open_default()?;

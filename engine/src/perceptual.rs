@@ -1,5 +1,3 @@
-//! Perceptual image distance: LPIPS.
-
 use crate::{
     Error, Result,
     gpu::{Device, Limits, Recorder, Resident, Run, Tensor},
@@ -41,7 +39,6 @@ impl LpipsWeights {
         (parameters, lpips)
     }
 
-    /// See [`Perceptual::open`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let arithmetic = KernelChoice::exact(device);
         let layout = |gradients: bool| Self::layout(device.limits(), arithmetic, network, gradients);
@@ -77,20 +74,18 @@ impl Perceptual {
         if path.is_file() { Ok(path) } else { Err(missing()) }
     }
 
-    /// Loads `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
-    /// `taps.I.weight`.
+    /// Loads the parameters of [`Lpips`](crate::stages::lpips::Lpips).
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let weights = LpipsWeights::open(device, network, path, gradients)?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);
         Ok(Self { device, network, has_gradients, weights, prepared })
     }
 
-    /// Feature network.
     pub fn network(&self) -> LpipsNetwork {
         self.network
     }
 
-    /// Returns the distance of images `[height][width][rgb]` in 0..1, unclamped, of size `[width,
+    /// Returns the distance of unclamped images `[height][width][rgb]` in 0..1, of size `[width,
     /// height]`.
     pub fn distance(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<f64> {
         Ok(self.run(pictures, size, false)?.0)
@@ -99,7 +94,6 @@ impl Perceptual {
     /// Returns the distance of clamped images and its gradient for the first.
     ///
     /// # Panics
-    ///
     /// If loaded without gradients.
     pub fn gradient(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<(f64, Vec<f32>)> {
         assert!(self.has_gradients, "weights that were loaded with gradients");

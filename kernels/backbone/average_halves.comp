@@ -1,9 +1,7 @@
-// Averages the local and global halves of a feature: skip path of the layer that merges them.
+// Averages the halves of a feature: skip path of the layer that merges them.
 //
 // Halves [rows, 2 * width] INPUT
 // Out    [rows, width] f32
-//
-// One invocation owns one element.
 #version 460
 #pragma element INPUT
 #extension GL_GOOGLE_include_directive : require

@@ -3,8 +3,6 @@
 // CameraTokens [2, width] f32, learned (reference view, other views); [views, width] if ENCODED
 // Chosen       [1] u32, reference view, otherwise `reference`; read if ON_DEVICE
 // Out          [views, tokens, width] f32
-//
-// One invocation owns one element of a camera token.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

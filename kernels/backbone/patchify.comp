@@ -1,9 +1,9 @@
-// Cuts images into patches, one row per patch, for a convolution with stride = kernel size.
+// Cuts images into rows of a patch each, for a convolution with stride = kernel size.
 //
 // Images [views, 3, height, width] f32, RGB in 0..1
 // Out    [views * patches, stride] OUTPUT: 3 * patch * patch values, channel-major, then zeros
 //
-// One workgroup owns one row, so patch coordinates are uniform and lanes divide by constants.
+// One workgroup owns one row: uniform patch coordinates, divisions by constants.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require

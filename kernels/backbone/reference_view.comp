@@ -6,8 +6,8 @@
 //           their distances from the middle, each 0..0.5
 // Reference [1] u32, first view within TIE of the least sum
 //
-// One workgroup (a subgroup) does all; lanes stride over channels. The spread is -mean^2: the
-// variance of normalized channels without a constant, whose rounding would dominate.
+// One subgroup does all. The spread is -mean^2: the variance of normalized channels without a
+// constant, whose rounding would dominate.
 // Source: saddle-balanced reference view of Depth Anything 3.
 #version 460
 #extension GL_GOOGLE_include_directive : require

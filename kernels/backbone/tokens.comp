@@ -1,11 +1,9 @@
-// Assembles the first tokens: class token and patches of each view plus position embedding.
+// Adds position embeddings to the class token and patches of each view.
 //
 // Patches    [views * patches, width] f32
 // ClassToken [width] f32
 // Positions  [1 + patches, width] f32, class token first
 // Out        [views, 1 + patches, width] f32
-//
-// One invocation owns one element.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

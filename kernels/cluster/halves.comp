@@ -7,7 +7,7 @@
 // Norms  [rows] f32, half the squared length
 //
 // A row's largest magnitude is scaled to 2^14..2^15. Values are exact to 2^-22, or to 2^-28 of the
-// row's largest if the device flushes subnormal f16. One workgroup (a subgroup) owns one row.
+// row's largest if the device flushes subnormal f16. One subgroup owns one row.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_16bit_storage : require

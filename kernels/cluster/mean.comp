@@ -5,7 +5,7 @@
 // Starts    [clusters + 1] u32, first member of each cluster
 // Centroids [clusters, width] f32
 //
-// One invocation owns four channels of a cluster and adds in order, so results are reproducible.
+// One invocation owns four channels of a cluster and adds in order.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

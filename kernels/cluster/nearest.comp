@@ -4,9 +4,9 @@
 // Targets [targets, width] f32
 // Out     [points] u32, targets
 //
-// Sums of squared differences do not cancel far from the origin. One workgroup (a subgroup) owns
-// ROWS points; lanes scan different targets. A lane keeps its nearest target and the first that
-// ties with it, enough unless three targets span a tie's width.
+// Sums of squared differences do not cancel far from the origin. One subgroup owns ROWS points;
+// lanes scan different targets. A lane keeps its nearest target and the first that ties with it,
+// enough unless three targets span a tie's width.
 // Source: flash k-means, without a distance matrix.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -13,9 +13,8 @@
 //     + gamma(width / 16 + 134) |t|^2 / 2 + 2 u (|p| + |t|)^2
 // with gamma(n) = n u / (1 - n u), u = 2^-24: below 2^-16 (|p| + |t|)^2 up to 2048 channels.
 //
-// One workgroup owns TILE_M points and scans a share of the targets, TILE_N at a time. A subgroup
-// owns REPEAT_M x REPEAT_N matrices. Shared memory double-buffers TILE_K channels.
-// Source: flash k-means, without a distance matrix.
+// One workgroup owns TILE_M points, a subgroup REPEAT_M x REPEAT_N matrices. Shared memory
+// double-buffers TILE_K channels. Source: flash k-means, without a distance matrix.
 #version 460
 #pragma factor f16
 #extension GL_GOOGLE_include_directive : require

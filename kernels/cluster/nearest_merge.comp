@@ -1,4 +1,4 @@
-// Nearest target of every point out of the candidates of each share; ties by shared/nearest_tie.
+// Nearest target of every point among the shares' candidates; ties by shared/nearest_tie.
 //
 // Points     [points, width] f32
 // Targets    [targets, width] f32
@@ -6,9 +6,8 @@
 // Candidates [shares, points] u32, of cluster/nearest_matrix
 // Out        [points] u32, targets
 //
-// If cluster/nearest_matrix's error bound leaves several targets, f32 differences decide. Of three
-// distinct targets that tie within a share, only two are candidates. One workgroup (a subgroup)
-// owns one point.
+// f32 differences decide between targets within the error bound. Of three distinct targets that tie
+// within a share, only two are candidates. One subgroup owns one point.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require

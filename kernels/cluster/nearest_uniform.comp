@@ -4,8 +4,7 @@
 // Targets [targets, width] f32
 // Out     [points] u32, targets
 //
-// One workgroup (a subgroup) owns VECTORS points a lane and scans TILE_ROWS targets at a time.
-// Surplus targets repeat the last and are dropped. See shared/uniform.
+// One subgroup owns VECTORS points a lane. Surplus targets repeat the last. See shared/uniform.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -3,7 +3,7 @@
 // Source [rows, width] f32, width a multiple of 4
 // Out    [width] f32
 //
-// One invocation owns four channels and adds `samples` rows in order, so results are reproducible.
+// One invocation owns four channels and adds `samples` rows in order.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

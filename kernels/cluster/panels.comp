@@ -2,8 +2,6 @@
 //
 // Source [rows, width] f32
 // Out    [panels, width, PANEL_COLUMNS] f32, padded with the last row
-//
-// One invocation owns one value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

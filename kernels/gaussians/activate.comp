@@ -7,8 +7,6 @@
 // Quats     [gaussians, 4] f32, wxyz, unit
 // Opacities [gaussians] f32, 0..1
 // ShCoeffs  [gaussians, bases, 3] f32
-//
-// One invocation owns one Gaussian.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/head.glsl"

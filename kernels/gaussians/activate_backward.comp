@@ -4,7 +4,7 @@
 // DMeans, DScales, DQuats, DOpacities, DShCoeffs as the outputs of gaussians/activate
 // DRaw [gaussians / group, stride] f32, `group` Gaussians per row; padding is untouched
 //
-// One invocation owns one Gaussian. Clamped values have no gradient.
+// Clamped values have no gradient.
 #version 460
 layout(local_size_x = 64) in;
 #include "shared/head.glsl"

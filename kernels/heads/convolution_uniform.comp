@@ -6,9 +6,8 @@
 // Residual [pixels, columns] f32; read if ADD
 // Out      [pixels, columns] f32, pixels from `first` on
 //
-// The border makes the taps of a line contiguous, as in a linear layer. One workgroup (a subgroup)
-// owns TILE_ROWS pixels and VECTORS columns a lane, adjacent columns in adjacent lanes. Surplus
-// pixels repeat the last. See shared/uniform.
+// The border makes the taps of a line contiguous, as in a linear layer. Otherwise as
+// ops/linear_uniform, with pixels for rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/gelu.glsl"

@@ -3,8 +3,6 @@
 // Source [height, width, side, side, channels] f32, any range of lines
 // Bias   [channels] f32
 // Out    [height * side, width * side, channels] f32, the same lines: source + bias
-//
-// One invocation owns one element of Out.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

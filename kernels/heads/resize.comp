@@ -5,8 +5,7 @@
 // Out       [lines, out_width, channels] f32, lines from `first` on of out_height
 //
 // Column embeddings go to the first half of the channels, line embeddings to the second. One
-// workgroup (a subgroup) owns one pixel; lanes stride over channels, which keeps divisions out of
-// the loop.
+// subgroup owns one pixel, which keeps divisions out of the loop.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

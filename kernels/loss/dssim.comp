@@ -5,9 +5,9 @@
 //          means of a - MIDDLE, of its square and b's, and of (a - b)^2
 // Sums     [C, runs, groups] f32, `weight` (1 - SSIM) per workgroup
 //
-// One workgroup (a subgroup) owns RUN rows, one column and color a lane. With means a, b and
-// d = a - b, 1 - SSIM is u + v - uv: u = d^2 / (a^2 + b^2 + C1), v = var d / (var a + var b + C2).
-// This does not cancel for similar images.
+// One subgroup owns RUN rows, one column and color a lane. With means a, b and d = a - b, 1 - SSIM
+// is u + v - uv: u = d^2 / (a^2 + b^2 + C1), v = var d / (var a + var b + C2). This does not cancel
+// for similar images.
 #version 460
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require

@@ -5,7 +5,7 @@
 // Partials        [C, height, width, 3, 3] f32, of loss/spread; read if DSSIM
 // Sums            [C, runs, groups] f32, POINTWISE losses, added to loss/dssim's if DSSIM
 //
-// One workgroup (a subgroup) owns RUN rows, one column and color a lane.
+// One subgroup owns RUN rows, one column and color a lane.
 #version 460
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require

@@ -3,7 +3,7 @@
 // Sums   [C, count] f32, of loss/gradient
 // Values [first + C] f32, `scale` times each sum, from `first` on
 //
-// One workgroup (a subgroup) owns one image.
+// One subgroup owns one image.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

@@ -5,7 +5,7 @@
 // Sums    [pixels] f32, times scale
 // DA      [pixels, channels] f32, gradient by rectified A; written if GRADIENT, added if ADD
 //
-// One workgroup (a subgroup) owns one pixel.
+// One subgroup owns one pixel.
 // Source: LPIPS 0.1 (Zhang et al. 2018), with 1e-10 added to lengths.
 #version 460
 #extension GL_GOOGLE_include_directive : require

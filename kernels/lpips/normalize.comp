@@ -2,8 +2,6 @@
 //
 // Source [pixels, channels] f32, 0..1 (clamped if CLIPPED), RGB first
 // Out    [pixels, 3] f32
-//
-// One invocation owns one value of Out.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -4,7 +4,7 @@
 // DOut    [pixels, 3] f32
 // DSource [pixels, channels] f32, plus weight times the gradient
 //
-// One invocation owns one value of DOut. If CLIPPED, values outside (0, 1) have no gradient.
+// If CLIPPED, values outside (0, 1) have no gradient.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

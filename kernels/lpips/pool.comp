@@ -2,8 +2,6 @@
 //
 // Source [lines, width, channels] f32, lines from source_first on
 // Out    [lines, out_width, channels] f32, lines from `first` on
-//
-// One invocation owns one element of Out.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

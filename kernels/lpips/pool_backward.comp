@@ -3,8 +3,6 @@
 // Source  [lines, width, channels] f32, lines from source_first on
 // DOut    [lines, out_width, channels] f32, lines from out_first on of out_height
 // DSource [lines, width, channels] f32, lines from `first` on
-//
-// One invocation owns one element of DSource.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -2,8 +2,7 @@
 //
 // Source, Out [quads] 16 bytes
 //
-// One invocation owns 16 bytes, so subgroups access whole cache lines. Transfer commands run on a
-// slower unit of some GPUs.
+// Not a transfer command, which runs on a slower unit of some GPUs.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -2,9 +2,8 @@
 //
 // Out [count] f32, sum of an invocation's chains
 //
-// One invocation owns 4 QUADS chains of `iterations` * STEPS steps. A chain's steps depend on each
-// other, so none is optimized away; other chains hide the latency. Chains start differently, so
-// none is shared.
+// One invocation owns 4 QUADS chains of `iterations` * STEPS steps. Other chains hide a chain's
+// latency; chains start differently, so none is optimized away.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require

@@ -4,8 +4,8 @@
 // B   [PRODUCTS, MATRIX_K, MATRIX_N] FACTOR
 // Out [subgroups, MATRIX_M, MATRIX_N] f32, i32 if FACTOR is i8: sum of all products
 //
-// One subgroup owns PRODUCTS independent sums; all subgroups compute the same. Bit i % 32 of
-// `swaps` exchanges A's matrices after iteration i, so that no product leaves the loop.
+// All subgroups compute the same PRODUCTS independent sums. Bit i % 32 of `swaps` exchanges A's
+// matrices after iteration i, so that no product leaves the loop.
 #version 460
 #pragma factor f16 bf16 i8
 #extension GL_GOOGLE_include_directive : require

@@ -2,8 +2,6 @@
 //
 // Left, Right [count] f32
 // Out         [count] f32, may alias Left
-//
-// One invocation owns one element.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -6,8 +6,8 @@
 // LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
 // Out       [sequences * queries, heads * DIM] ELEMENT
 //
-// One workgroup (a subgroup) owns ROWS queries of a head. A lane scores 4 keys, then gathers 4
-// channels VECTORS times. PARTS groups of lanes gather different keys. Memory is linear in tokens.
+// One subgroup owns ROWS queries of a head. A lane scores 4 keys, then gathers 4 channels VECTORS
+// times. PARTS groups of lanes gather different keys.
 // Source: FlashAttention (Dao et al. 2022).
 #version 460
 #pragma element ELEMENT

@@ -7,8 +7,7 @@
 // Out       [sequences * queries, heads * dim] FACTOR, saturated
 //
 // One workgroup owns SUBGROUPS * ROWS queries of a head, one subgroup ROWS of them. Shared memory
-// stages TILE keys and values, and the scores, whose rows are not addressable in matrices. Scores,
-// softmax and sums are f32. Memory is linear in tokens.
+// stages TILE keys and values, and the f32 scores, whose rows are not addressable in matrices.
 // Source: FlashAttention-2 (Dao 2023).
 #version 460
 #pragma factor f16 bf16

@@ -1,4 +1,4 @@
-// Softmax attention of one head over one sequence with uniform loads, for CPU drivers.
+// Attention of ops/attention with uniform loads, for CPU drivers.
 //
 // Q         [heads, sequences * queries, DIM] f32, scaled by 1 / sqrt(DIM)
 // K         [heads, sequences, panels, DIM, PANEL] f32, the last panel padded
@@ -6,8 +6,8 @@
 // LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
 // Out       [sequences * queries, heads * DIM] f32
 //
-// One workgroup (a subgroup) owns TILE_ROWS queries of a head. Panels keep the channels of a key in
-// one memory page. See shared/uniform.
+// One subgroup owns TILE_ROWS queries of a head. A key's channels are in one memory page. See
+// shared/uniform.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require

@@ -4,7 +4,7 @@
 // RowsFromOut [count] u32, row indices into the longer array
 // Out         [count, width] f32
 //
-// One invocation owns one element. Rows outside this part belong to other dispatches.
+// Rows outside this part belong to other dispatches.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -3,8 +3,6 @@
 // Source   [count] f32, before activation
 // Gradient [count] f32, d loss / d GELU; read if BACKWARD
 // Out      [count] f32, GELU, or d loss / d Source if BACKWARD; may alias Gradient
-//
-// One invocation owns one value.
 #version 460
 layout(local_size_x = 64) in;
 #include "shared/gelu.glsl"

@@ -5,8 +5,8 @@
 // Out    [rows, row] f32, pixels from `first` on; a row is [side, side, channels] and padding
 //
 // SPREAD - 1 zeros separate the pixels (transposed convolution). RECTIFIED clamps values to 0 and
-// above. GATED keeps values with a positive gate. One workgroup (a subgroup) owns one row; lanes
-// stride over channels, which keeps divisions out of the loop.
+// above. GATED keeps values with a positive gate. One subgroup owns one row, which keeps divisions
+// out of the loop.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

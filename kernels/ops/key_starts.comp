@@ -4,7 +4,7 @@
 // ItemCount [1] u32
 // Starts    [key_count + 1] u32
 //
-// One invocation owns one key and finds it by binary search.
+// One invocation owns one key, by binary search.
 #version 460
 layout(local_size_x = 64) in;
 #include "shared/index.glsl"

@@ -5,7 +5,7 @@
 // Weight, Bias [width] f32
 // Out          [rows, out_stride] OUTPUT, columns from out_column on, without camera tokens
 //
-// One workgroup (a subgroup) owns one row.
+// One subgroup owns one row.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require

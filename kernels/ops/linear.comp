@@ -10,9 +10,8 @@
 // Out      [rows, columns] OUTPUT, 16 bits saturate; [rows, columns / 2] after SwiGLU;
 //          [parts, rows, columns] f32 partial sums for ops/linear_merge if SPLIT
 //
-// SwiGLU alternates gate and value columns. One workgroup (a subgroup) owns ROWS rows, 4 columns a
-// lane, and `share` terms if SPLIT (split-K). Addresses of A are uniform, so shared memory is not
-// needed.
+// SwiGLU alternates gate and value columns. One subgroup owns ROWS rows, 4 columns a lane, and
+// `share` terms if SPLIT (split-K). Addresses of A are uniform.
 #version 460
 #pragma element INPUT
 #pragma element OUTPUT

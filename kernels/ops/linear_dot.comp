@@ -6,8 +6,8 @@
 // ColumnScales [columns] f32, scales of Weight
 // Bias, Gamma, Residual, Out as in ops/linear
 //
-// One workgroup owns TILE_ROWS x TILE_COLUMNS sums; a lane owns LANE_ROWS x LANE_COLUMNS of them,
-// interleaved. Shared memory stages TILE_K terms while the next ones load.
+// One workgroup owns TILE_ROWS x TILE_COLUMNS sums, a lane LANE_ROWS x LANE_COLUMNS, interleaved.
+// Shared memory stages TILE_K terms while the next ones load.
 #version 460
 #pragma factor i8
 #pragma element OUTPUT

@@ -8,8 +8,8 @@
 // ColumnScales [columns] f32, scales of Weight; read if FACTOR is i8
 // Bias, Gamma, Residual, Out as in ops/linear
 //
-// One workgroup owns TILE_M x TILE_N sums, and `share` terms if SPLIT, a multiple of TILE_K. A
-// subgroup owns REPEAT_M x REPEAT_N matrices. Shared memory double-buffers TILE_K terms.
+// One workgroup owns TILE_M x TILE_N sums, and `share` terms if SPLIT, a multiple of TILE_K; a
+// subgroup REPEAT_M x REPEAT_N matrices. Shared memory double-buffers TILE_K terms.
 #version 460
 #pragma factor f16 bf16 i8
 #pragma element OUTPUT

@@ -2,9 +2,8 @@
 //
 // Buffers as in ops/linear
 //
-// One workgroup owns TILE_ROWS x TILE_COLUMNS sums, and `share` terms if SPLIT. A lane owns
-// LANE_ROWS x LANE_COLUMNS sums, interleaved. Shared memory stages TILE_K terms as f32 while the
-// next ones load. Terms are added in the order of ops/linear.
+// One workgroup owns TILE_ROWS x TILE_COLUMNS sums, and `share` terms if SPLIT; a lane LANE_ROWS x
+// LANE_COLUMNS, interleaved. Shared memory stages TILE_K terms as f32 while the next ones load.
 #version 460
 #pragma element INPUT
 #pragma element OUTPUT

@@ -2,8 +2,8 @@
 //
 // Buffers as in ops/linear, f32, never SPLIT
 //
-// One workgroup (a subgroup) owns TILE_ROWS rows and VECTORS columns a lane, adjacent columns in
-// adjacent lanes. Surplus rows repeat the last. See shared/uniform.
+// One subgroup owns TILE_ROWS rows and VECTORS columns a lane, adjacent columns in adjacent lanes.
+// Surplus rows repeat the last. See shared/uniform.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_shuffle : require

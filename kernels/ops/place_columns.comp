@@ -2,8 +2,6 @@
 //
 // Source [rows, width] f32
 // Out    [rows, out_width] OUTPUT, columns from out_column on
-//
-// One invocation owns one element.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require

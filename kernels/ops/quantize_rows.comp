@@ -4,7 +4,7 @@
 // Out    [rows, width] i8, four per word
 // Scales [rows] f32, NaN if the row has a NaN
 //
-// One workgroup (a subgroup) owns one row.
+// One subgroup owns one row.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_16bit_storage : require

@@ -3,7 +3,7 @@
 // Values [count] u32
 // Sums   [blocks] u32
 //
-// One workgroup owns one block; lanes stride over it. No workgroup waits for another.
+// One workgroup owns one block and waits for no other.
 // Source: reduce-then-scan (Merrill and Grimshaw, Parallel Scan for Stream Architectures, 2009).
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require

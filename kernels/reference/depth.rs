@@ -1,4 +1,4 @@
-//! Depth Anything 3 from images to head outputs: depth, rays and cameras, or depth and sky.
+//! Depth Anything 3, from images to head outputs.
 
 use super::backbone::block::{Options, block};
 use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
@@ -14,7 +14,7 @@ use super::widen;
 /// Sizes that parameter shapes do not determine.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
-    /// Patch side in pixels.
+    /// Patch side.
     pub patch: usize,
     /// Token width.
     pub width: usize,
@@ -24,7 +24,7 @@ pub struct Sizes {
     pub heads: usize,
     /// First block that may be global; `depth` for single-view networks.
     pub alt_start: usize,
-    /// Blocks that produce features, ascending.
+    /// Feature blocks, ascending.
     pub out_layers: [usize; 4],
 }
 
@@ -114,7 +114,7 @@ pub fn features(weights: &Weights, sizes: &Sizes, images: &Images, reference: us
     (features, (0..images.views).flat_map(first).collect())
 }
 
-/// The head: parameters, image size, and whether positions are added.
+/// Parameters, image size, and whether positions are added.
 struct Head<'a> {
     weights: Scope<'a>,
     full: [usize; 2],

@@ -1,4 +1,4 @@
-//! The whole network, with every intermediate result of the goldens.
+//! The network with every intermediate result of the goldens.
 
 use std::collections::BTreeMap;
 
@@ -18,10 +18,10 @@ use super::widen;
 /// Intermediate results by golden key, such as `bb/block0`.
 pub type Taps = BTreeMap<String, Vec<f64>>;
 
-/// Epsilon of the backbone's `norm1`, `norm2` and final `norm`.
+/// Of `norm1`, `norm2` and the final `norm`.
 const BACKBONE_EPS: f64 = 1e-6;
 
-/// Tokens of all views for clustering and fusion.
+/// Tokens for clustering and fusion.
 pub struct Tokens {
     /// `[views * patches, width]` per output layer, deepest first.
     pub layers: Vec<Vec<f64>>,
@@ -50,7 +50,7 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: us
     Tokens { layers, color, pool, taps }
 }
 
-/// Features `[views * patches, 2 width]` per output layer, deepest first.
+/// `[views * patches, 2 width]` per output layer, deepest first.
 fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool, taps: &mut Taps) -> Vec<Vec<f64>> {
     let architecture = &model.architecture;
     let weights = model.scope("backbone.backbone");
@@ -91,7 +91,7 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool
     features
 }
 
-/// Camera tokens `[views, width]`: encoded known cameras, or learned ones.
+/// `[views, width]`: encoded known cameras, or learned tokens.
 fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Taps) -> Vec<f64> {
     let Some(priors) = priors else {
         let learned = widen(model.scope("backbone.backbone").get("camera_token"));

@@ -1,7 +1,7 @@
 //! ZipSplat in plain f64, the reference of tests and `zipsplat doctor`.
 //!
-//! Modules mirror the kernels, without tiling, fusion or streaming, so that they share no mistake.
-//! Activations are row-major `[f64]`, weights stored f32.
+//! Modules mirror the kernels, without tiling, fusion or streaming, to share no mistake.
+//! Activations are row-major `[f64]`, weights f32.
 
 pub mod backbone;
 pub mod cluster;

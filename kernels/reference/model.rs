@@ -1,4 +1,4 @@
-//! Architectures and weights; goldens use generated weights.
+//! Architectures and weights.
 
 use std::collections::BTreeMap;
 
@@ -11,29 +11,29 @@ use super::ops::linear::linear;
 /// Settings that parameter shapes do not determine.
 #[derive(Clone, Debug)]
 pub struct Architecture {
-    /// Patch side in pixels.
+    /// Patch side.
     pub patch: usize,
-    /// Backbone token width.
+    /// Token width.
     pub width: usize,
-    /// Backbone blocks.
+    /// Blocks.
     pub depth: usize,
-    /// Backbone attention heads.
+    /// Attention heads.
     pub heads: usize,
     /// First block that may be global; camera tokens enter here.
     pub alt_start: usize,
     /// First block with rotary embedding.
     pub rope_start: usize,
-    /// Blocks that produce features, ascending.
+    /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
     /// Camera encoder blocks.
     pub camera_blocks: usize,
-    /// Camera encoder attention heads.
+    /// Camera encoder heads.
     pub camera_heads: usize,
-    /// Fusion attention heads.
+    /// Fusion heads.
     pub fusion_heads: usize,
-    /// Color token width.
+    /// Color width.
     pub color_width: usize,
-    /// Color attention heads.
+    /// Color heads.
     pub color_heads: usize,
     /// Gaussians per token, G.
     pub gaussians: usize,
@@ -101,7 +101,7 @@ impl Model {
         Model { architecture: Architecture::from_manifest(manifest), weights: weights.collect() }
     }
 
-    /// Returns the parameters below `prefix`.
+    /// Returns parameters below `prefix`.
     pub fn scope(&self, prefix: &str) -> Scope<'_> {
         Scope::of(&self.weights, prefix)
     }
@@ -115,39 +115,39 @@ pub struct Scope<'a> {
 }
 
 impl<'a> Scope<'a> {
-    /// Returns the parameters below `prefix`.
+    /// Returns parameters below `prefix`.
     pub fn of(weights: &'a Weights, prefix: &str) -> Self {
         Self { weights, prefix: prefix.to_owned() }
     }
 
-    /// Returns the parameters of a submodule.
+    /// Returns parameters of a submodule.
     pub fn scope(&self, name: &str) -> Scope<'a> {
         Scope::of(self.weights, &format!("{}.{name}", self.prefix))
     }
 
-    /// Returns whether parameter `name` exists.
+    /// Returns whether a parameter exists.
     pub fn has(&self, name: &str) -> bool {
         self.weights.contains_key(&format!("{}.{name}", self.prefix))
     }
 
-    /// Returns the values of parameter `name`.
+    /// Returns a parameter's values.
     pub fn get(&self, name: &str) -> &'a [f32] {
         let name = format!("{}.{name}", self.prefix);
         &self.weights.get(&name).unwrap_or_else(|| panic!("no parameter {name}")).1
     }
 
-    /// Applies the linear layer `name`.
+    /// Applies linear layer `name`.
     pub fn linear(&self, name: &str, x: &[f64]) -> Vec<f64> {
         linear(x, self.get(&format!("{name}.weight")), self.get(&format!("{name}.bias")))
     }
 
-    /// Applies the LayerNorm `name`.
+    /// Applies LayerNorm `name`.
     pub fn layer_norm(&self, name: &str, x: &[f64], eps: f64) -> Vec<f64> {
         layer_norm(x, self.get(&format!("{name}.weight")), self.get(&format!("{name}.bias")), eps)
     }
 }
 
-/// Parameters that `_eps` configs divide by 64, so that LayerNorm epsilons matter.
+/// `_eps` configs divide these by 64, so that LayerNorm epsilons matter.
 const SHRUNK: [&str; 15] = [
     "cls_token",
     "camera_token",
@@ -189,8 +189,8 @@ pub fn generate(config: &str, name: &str, shape: &[usize]) -> Vec<f32> {
     bytes.map(|b| value(b) / shrink).collect()
 }
 
-/// Largest power of two up to `sqrt(3 / fan_in)`, which keeps variance near 1; twice that in the
-/// last layer, for visible Gaussians.
+/// Largest power of two up to `sqrt(3 / fan_in)`, which keeps variance near 1; doubled in the last
+/// layer, for visible Gaussians.
 fn weight_amplitude(name: &str, fan_in: usize) -> f32 {
     let halvings = (0..).find(|&e| 3usize << (2 * e) >= fan_in).expect("a power of four above any size");
     let halvings = if name == "gaussian_head.gaussian_head.1.weight" { halvings - 1 } else { halvings };

@@ -5,7 +5,7 @@
 // First, Second [count] f32, moments in the optimization space
 // Schedule      [4] f32: rate, 1 / (1 - beta1^t), 1 / (1 - beta2^t), unused
 //
-// One invocation owns one value. A non-finite gradient or square skips the step.
+// A non-finite gradient or square skips the step.
 // Source: Adam (Kingma and Ba 2015), as in PyTorch without decay.
 #version 460
 layout(local_size_x = 64) in;

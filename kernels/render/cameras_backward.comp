@@ -3,7 +3,7 @@
 // Parts    [rows, C, 10] f32, of render/project_backward
 // DCameras [C, 10] f32, accumulated
 //
-// One workgroup (a subgroup) owns one number of one camera. The order of sums is fixed.
+// One subgroup owns one number of one camera. The order of sums is fixed.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

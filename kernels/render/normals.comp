@@ -6,7 +6,7 @@
 // Cameras [C, 2, 4, 4] f32, see shared/camera
 // Normals [N, C, 3] f32, unit, world
 //
-// One invocation owns one pair of a Gaussian and a camera. The first of equally short axes wins.
+// The first of equally short axes wins.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;

@@ -3,7 +3,7 @@
 // Frames [count] f32, RGBA
 // Packed [count] u32, clamped to 0..1, times 255; red in the lowest byte, blue if BLUE_FIRST
 //
-// One invocation owns one pixel. Color is truncated, as in gsplat's viewer; alpha is rounded.
+// Color is truncated, as in gsplat's viewer; alpha is rounded.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -13,7 +13,7 @@
 // TileSets    [N, C, 3] u32, see shared/splat
 // Indices     [N, C] u32, pairs
 //
-// One invocation owns one pair of a Gaussian and a camera; pairs nearer than `near` are culled.
+// Pairs nearer than `near` are culled.
 // A conic is the inverse covariance in completed squares, d' conic d = A (dx - k dy)^2 + P dy^2:
 // never negative, without cancellation for needles. dx - k dy counts from the splat's ridge.
 // Source: EWA splatting (Zwicker et al. 2001) with the constants of gsplat 1.5.3.

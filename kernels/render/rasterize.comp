@@ -7,10 +7,9 @@
 // Frames      [C, rows, width, channels] f32: RGB, alpha, depth, normal, token RGB, as enabled
 //
 // Disabled outputs bind placeholders. Depth is the weighted sum of z, divided by alpha if
-// EXPECTED_DEPTH. Normals are weighted sums scaled to length 1, or 0. Token colors blend like
-// colors.
+// EXPECTED_DEPTH. Normals are weighted sums scaled to length 1, or 0.
 // One workgroup owns RUNS row-major runs of pixels of one tile, each as long as a subgroup. One
-// invocation owns one pixel per run. All read a Gaussian at one address, without shared memory.
+// invocation owns one pixel per run. All read a Gaussian at one address.
 // Source: 3D Gaussian Splatting (Kerbl et al. 2023) with the constants of gsplat 1.5.3.
 #version 460
 #extension GL_EXT_scalar_block_layout : require

@@ -4,7 +4,7 @@
 // cy) in pixels.
 const uint CAMERA_ROWS = 8;
 
-// Offset of a point from the center `center` + `rest`, exact in f32 far from the world's origin.
+// Offset of a point from the center `center` + `rest`, exact far from the world's origin.
 vec3 from_center(vec3 point, vec3 center, vec3 rest) {
     precise vec3 coarse = point - center;
     precise vec3 fine = coarse - rest;

@@ -23,7 +23,7 @@ void store(uint at, uint column, float value) {
     result[at] = to_OUTPUT(value);
 }
 
-// Applies the epilogue to four biased sums, except past the last column.
+// For four biased sums, except past the last column.
 void finish(vec4 v, uint row, uint quad, uint columns) {
     if (ACTIVATION == 2) {
         uint at = row * (columns / 2) + 2 * quad;

@@ -1,4 +1,4 @@
-// Linear indices of 1-D dispatches, which may be folded to 2-D or split by a base group.
+// Linear indices of 1-D dispatches, possibly folded to 2-D or split by a base group.
 #include "shared/limits.glsl"
 
 uint group_index() { return gl_WorkGroupID.y * GROUP_FOLD + gl_WorkGroupID.x; }

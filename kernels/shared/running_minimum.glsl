@@ -38,7 +38,6 @@ void minimum_begin() {
     [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) two_least[own] = NONE;
 }
 
-// Scans the m-th strip.
 void minimum(uint strip, uint m, uint first_column) {
     [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
         uint own = m * LANE_ROWS + i;

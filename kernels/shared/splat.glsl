@@ -1,4 +1,4 @@
-// Rules of the render kernels: gsplat 1.5.3's thresholds, and the tiles of a Gaussian.
+// Rules of the render kernels (gsplat 1.5.3's thresholds), and the tiles of a Gaussian.
 #include "shared/numbers.glsl"
 
 const float ALPHA_MIN = 1.0 / 255.0;      // weaker contributions are skipped

@@ -22,7 +22,7 @@ void find_lanes() {
     [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) is_lane[i] = lane == i;
 }
 
-// The lane's value of a vector that starts at value `first` behind `address`.
+// The lane's value of a vector that starts at `first` behind `address`.
 float vector_at(uint64_t address, uint first) {
     float mine = 0.0;
     [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {

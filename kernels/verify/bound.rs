@@ -1,7 +1,6 @@
-//! f32 error bounds from the unit roundoff and Vulkan's precision limits.
-//!
-//! Additions and multiplications are correctly rounded (Vulkan specification, "Precision and
-//! Operation of SPIR-V Instructions"). A device may flush subnormals and fuse multiply-adds.
+//! f32 error bounds from the unit roundoff and Vulkan's precision limits ("Precision and Operation
+//! of SPIR-V Instructions"): additions and multiplications are correctly rounded. A device may
+//! flush subnormals and fuse multiply-adds.
 
 use crate::Tolerance;
 use serde::Serialize;
@@ -11,9 +10,9 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 pub const U: f64 = f32::EPSILON as f64 / 2.0;
 /// Unit in the last place.
 pub const ULP: f64 = f32::EPSILON as f64;
-/// Error of flushing a subnormal.
+/// Flushed subnormals.
 pub const TINY: f64 = f32::MIN_POSITIVE as f64;
-/// Vulkan's relative limit for a division.
+/// Vulkan's relative limit for divisions.
 pub const DIVISION: f64 = 2.5 * ULP;
 /// Vulkan's relative limit for sqrt, as 1 / inversesqrt.
 pub const ROOT: f64 = 4.5 * ULP;
@@ -26,7 +25,7 @@ pub fn gamma(n: usize) -> f64 {
     if nu < 1.0 { nu / (1.0 - nu) } else { f64::INFINITY }
 }
 
-/// Returns the most additions per term when 4 to 128 lanes sum `n` terms.
+/// Most additions per term when 4 to 128 lanes sum `n` terms.
 pub fn by_lanes(n: usize) -> usize {
     n.min((n.div_ceil(4) + 4).max(n.div_ceil(128) + 128))
 }
@@ -37,12 +36,12 @@ pub fn half(x: f64) -> f64 {
     if rounded.abs() > 65504.0 { rounded * f64::INFINITY } else { rounded }
 }
 
-/// Returns Vulkan's relative limit for exp(x) and exp2(x).
+/// Vulkan's relative limit for exp(x) and exp2(x).
 pub fn exponential(x: f64) -> f64 {
     (3.0 + 2.0 * x.abs()) * ULP
 }
 
-/// Returns Vulkan's absolute limit for log(x).
+/// Vulkan's absolute limit for log(x).
 pub fn logarithm(x: f64) -> f64 {
     if (0.5..=2.0).contains(&x) { (-21f64).exp2() } else { 3.0 * ULP * x.ln().abs() }
 }
@@ -50,16 +49,16 @@ pub fn logarithm(x: f64) -> f64 {
 /// Element with the largest error over its bound.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Worst {
-    /// Distance from the truth, or number of differing elements. Infinite for NaN.
+    /// Distance from the truth, or number of differing elements; infinite for NaN.
     pub error: f64,
     /// Error bound.
     pub bound: f64,
     /// Error over bound; above 1 is wrong.
     pub share: f64,
-    /// Deviation of all elements, relative to the rms of the truth.
+    /// Deviation of all elements, relative to the truth's rms.
     #[serde(skip)]
     pub deviation: Tolerance,
-    /// Deviation over the allowance of tests; above 1 is less precise than expected.
+    /// Deviation over the allowance; above 1 is less precise than expected.
     #[serde(skip)]
     pub typical: f64,
 }
@@ -75,7 +74,7 @@ impl Worst {
         Self { error, bound, share, deviation: Tolerance { max: 0.0, rms: 0.0 }, typical: 0.0 }
     }
 
-    /// Compares one value; non-finite ones are wrong.
+    /// Non-finite values are wrong.
     pub fn one(got: f64, truth: f64, bound: f64) -> Self {
         let error = if got.is_finite() { (got - truth).abs() } else { f64::INFINITY };
         let share = match error {
@@ -86,7 +85,7 @@ impl Worst {
         Self::new(error, bound, share)
     }
 
-    /// Returns the worst element of a result.
+    /// Returns the worst element.
     pub fn of(got: &[f32], truth: &[f64], bound: impl Fn(usize) -> f64) -> Self {
         assert_eq!(got.len(), truth.len(), "as many results as truths");
         let one = |i: usize| Self::one(got[i].into(), truth[i], bound(i));
@@ -109,7 +108,6 @@ impl Worst {
         Self { deviation, typical: self.typical.max(other.typical), ..worse }
     }
 
-    /// Compares the deviation with an allowance.
     pub(crate) fn against(self, allowed: Tolerance) -> Self {
         let over = |found: f64, allowed: f64| if found > 0.0 { found / allowed } else { 0.0 };
         let Tolerance { max, rms } = self.deviation;
@@ -126,7 +124,6 @@ pub struct Bounded {
 }
 
 impl Bounded {
-    /// Converts a number that f32 holds.
     pub fn exact(value: impl Into<f64>) -> Self {
         Self { value: value.into(), error: 0.0 }
     }
@@ -135,7 +132,7 @@ impl Bounded {
         Self::new(value, 0.0, U)
     }
 
-    /// Adds the operands' error `carried` and the operation's relative limit `own`.
+    /// The operands' error `carried` and the operation's relative limit `own`.
     fn new(value: f64, carried: f64, own: f64) -> Self {
         Self { value, error: carried + own * (value.abs() + carried) + TINY }
     }
@@ -158,7 +155,7 @@ impl Bounded {
         Self::new(value, value * self.error.exp_m1(), exponential(self.value.abs() + self.error))
     }
 
-    /// Returns the minimum; its error is at most the operands'.
+    /// The error is at most the operands'.
     pub fn min(self, other: Self) -> Self {
         Self { value: self.value.min(other.value), error: self.error.max(other.error) }
     }

@@ -14,12 +14,11 @@ pub(crate) trait Problem: 'static {
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Self::Output>;
 
-    /// Computes the truth in f64 from the device's inputs.
     fn truth(&self, mode: Mode) -> Self::Truth;
 
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
 
-    /// Returns the deviation that tests allow: at random, sums stay far below their bounds.
+    /// Deviation that tests allow: at random, sums stay far below their bounds.
     fn typical(&self, _device: &Device, _mode: Mode) -> Tolerance {
         Tolerance::ANY
     }
@@ -28,27 +27,25 @@ pub(crate) trait Problem: 'static {
     /// caught.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
 
-    /// Returns zeros of numbers, which every case must catch unless they are right.
+    /// Zeros, which every case must catch unless they are right.
     fn zeros(&self, _truth: &Self::Truth) -> Option<Self::Output> {
         None
     }
 }
 
-/// A problem whose output is a list of numbers, each with its own bound.
+/// Output as a list of numbers, each with its own bound.
 pub(crate) trait Values: 'static {
     type Fault: Copy + Debug + 'static;
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>>;
 
-    /// Returns the truth and its bounds.
+    /// Truth and bounds.
     fn truth(&self, mode: Mode) -> [Vec<f64>; 2];
 
-    /// As [`Problem::typical`].
     fn typical(&self, _mode: Mode) -> Tolerance {
         Tolerance::ANY
     }
 
-    /// Simulates a fault on the host, given the truth.
     fn faulty(&self, truth: &[f64], fault: Self::Fault) -> Vec<f64>;
 }
 
@@ -90,13 +87,13 @@ pub(crate) fn shifted(values: &[f64], by: usize) -> Vec<f64> {
     (0..values.len()).map(|i| values[(i + by) % values.len()]).collect()
 }
 
-/// Joins rows of several tensors, given their widths.
+/// Joins rows of several tensors.
 pub(crate) fn joined<const N: usize>(tensors: &[Vec<f32>; N], widths: [usize; N]) -> Vec<f32> {
     let row = |n: usize| tensors.iter().zip(widths).flat_map(move |(x, width)| &x[n * width..][..width]);
     (0..tensors[0].len() / widths[0]).flat_map(row).copied().collect()
 }
 
-/// Rounds the values to 11 bits.
+/// Rounds to 11 bits.
 pub(crate) fn halves(values: &[f64]) -> Vec<f64> {
     values.iter().map(|&x| half(x)).collect()
 }
@@ -122,7 +119,7 @@ impl<F: Copy> Catches<F> {
 pub struct Injected {
     /// Name, such as `last term`.
     pub fault: String,
-    /// Smallest error over bound among the fault's outputs.
+    /// Least error over bound among the fault's outputs.
     pub share: f64,
 }
 
@@ -135,11 +132,11 @@ impl Injected {
 
 /// One hard input.
 pub struct Case {
-    /// Name of the case.
+    /// Name.
     pub name: String,
-    /// Problem size for the report.
+    /// Problem size.
     pub size: usize,
-    /// Names of the caught faults besides zeros.
+    /// Caught faults besides zeros.
     pub catches: Vec<String>,
     checks: Box<dyn Checks>,
 }

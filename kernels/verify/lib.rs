@@ -1,8 +1,8 @@
 //! Verification of kernels: device results against f64, with bounds from the number format.
 //!
 //! An area covers related kernels. Its cases have hard inputs, f64 results of `zipsplat_reference`,
-//! bounds per element, and simulated faults. Bounds are never loosened to pass.
-//! `tests/kernels/catalog.rs` injects each fault, whose error must exceed twice the bound.
+//! bounds per element, and simulated faults, whose error must exceed twice the bound
+//! (`tests/kernels/catalog.rs`). Bounds are never loosened to pass.
 
 mod bound;
 mod case;
@@ -43,7 +43,6 @@ mod render {
     pub mod forward;
 }
 
-/// Names that most areas use.
 mod prelude {
     pub(crate) use crate::{
         Area, Catches, Mode, Tolerance, Worst,
@@ -79,12 +78,12 @@ use zipsplat::{
     ops::{LaneTile, Lanes, LinearKernel, Tiles, Units, Weights},
 };
 
-/// Arithmetic of matrix products, the only difference between precision modes.
+/// Arithmetic of matrix products, the only difference between modes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mode {
     /// Type of the factors.
     pub factor: Element,
-    /// Matrix units; otherwise each lane computes one result.
+    /// Matrix units; otherwise a result per lane.
     pub matrix: bool,
     /// Weight layout on the device.
     pub weights: Weights,
@@ -103,8 +102,7 @@ struct Factors {
 }
 
 impl Factors {
-    /// Returns the error bound of a sum of `n` products, relative to their magnitudes, without
-    /// factor rounding.
+    /// Error bound of a sum of `n` products, relative to their magnitudes, without factor rounding.
     fn sum(&self, n: usize) -> f64 {
         bound::gamma(self.roundings * n)
     }
@@ -184,7 +182,7 @@ impl Mode {
         Units::of(self.factor, device.limits()).filter(|_| self.matrix)
     }
 
-    /// Returns the bound of a value stored in this type, where f16 may round either way.
+    /// Bound of a value stored in this type, where f16 may round either way.
     fn stored(self, value: f64, bound: f64) -> f64 {
         let Factors { unit, tiny, .. } = self.factors();
         let unit = if self.factor == Element::F16 { 2.0 * unit } else { unit };
@@ -214,7 +212,7 @@ impl Serialize for Mode {
 pub struct Area {
     /// Kernel names, as in a profile.
     pub kernel: &'static str,
-    /// Unit of the case sizes.
+    /// Unit of sizes.
     pub size: &'static str,
     /// Justification of the bound.
     pub reason: &'static str,
@@ -242,7 +240,7 @@ pub struct Finding {
     pub worst: Worst,
     /// Reason for a failed computation.
     pub failed: Option<String>,
-    /// Names of the caught faults.
+    /// Caught faults.
     pub catches: Vec<String>,
 }
 
@@ -251,7 +249,6 @@ impl Area {
         Self { kernel, size, reason, modes, cases: Vec::new() }
     }
 
-    /// Adds a case of one problem.
     fn add<P: case::Problem>(
         &mut self,
         name: impl Into<String>,
@@ -262,7 +259,7 @@ impl Area {
         self.sweep(name, size, faults, move || vec![make()]);
     }
 
-    /// Adds a case of several problems; each must catch every fault.
+    /// Each problem must catch every fault.
     fn sweep<P: case::Problem>(
         &mut self,
         name: impl Into<String>,

@@ -1,4 +1,4 @@
-//! Reproducible random inputs of cases and benchmarks.
+//! Reproducible random inputs.
 
 use zipsplat::{
     random::Random,
@@ -30,7 +30,7 @@ impl Noise {
         Image { width, height, rgb }
     }
 
-    /// Gaussians in view of [`camera`], with coverage roughly independent of `count`.
+    /// Returns Gaussians in view of [`camera`], with coverage roughly independent of `count`.
     pub fn scene(&mut self, count: usize, sh_degree: u32) -> Scene {
         let size = 2.0 / (count.max(1) as f32).sqrt();
         let mut scene = Scene { sh_degree, ..Scene::default() };
@@ -49,7 +49,7 @@ impl Noise {
     }
 }
 
-/// At the origin along z; the longer side is as wide as the distance.
+/// Returns a camera at the origin along z; the longer side is as wide as the distance.
 pub fn camera(width: u32, height: u32) -> Camera {
     let focal = f64::from(width.max(height));
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);

@@ -1,6 +1,6 @@
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
-/// Limits on an array's deviation, relative to the rms of the truth.
+/// Limits on an array's deviation, relative to the truth's rms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
     /// Largest deviation of one element.
@@ -49,7 +49,6 @@ impl Tolerance {
         Tolerance { max: f64::INFINITY, rms }
     }
 
-    /// Returns the deviation of `got` from `truth`.
     pub(crate) fn between(got: &[f32], truth: &[f64]) -> Tolerance {
         let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
         let errors = || got.iter().zip(truth).map(|(got, truth)| (f64::from(*got) - truth).abs());
@@ -59,12 +58,12 @@ impl Tolerance {
         Tolerance { max: errors().fold(0.0, f64::max) * count / length, rms: squares(&mut errors()) / length }
     }
 
-    /// f64 references against truth stored in f32. An element may be a dozen times the rms.
+    /// f64 references against truth stored in f32, where an element may be a dozen times the rms.
     pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
 
     /// Returns the tolerance of taps with rounded factors and f16 weights.
     ///
-    /// A block passes about four roundings in a row, at random sqrt(4) = 2 of them. The maximum
+    /// A block passes about four roundings in a row, at random sqrt(4) = 2 of them; the maximum
     /// over millions of elements is 8 times that.
     pub fn tap_in(arithmetic: Arithmetic) -> Tolerance {
         let u = Self::factor_rounding(arithmetic);
@@ -135,7 +134,7 @@ impl Tolerance {
         Tolerance { max: 4.0 * drift, rms: drift }
     }
 
-    /// Adds the rounding of a result stored in this type.
+    /// Adds the rounding to this type.
     pub fn stored_in(self, element: Element) -> Tolerance {
         // An element may be eight times the rms.
         let u = element.roundoff();

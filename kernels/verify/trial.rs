@@ -1,4 +1,4 @@
-//! One plan on a device, with outputs that reveal missing and stray writes.
+//! A plan on a device, with outputs that reveal missing and stray writes.
 
 use bytemuck::Pod;
 use zipsplat::{
@@ -15,10 +15,10 @@ const GUARD: usize = 256;
 /// A plan with its inputs.
 pub struct Trial<'a> {
     device: &'a Device,
-    /// Records the plan.
+    /// Recorder of the plan.
     pub rec: Recorder,
     inputs: Vec<(Tensor, Vec<u8>)>,
-    /// Outputs with their guards, and their bytes without.
+    /// Outputs with guards, and their bytes without.
     guarded: Vec<(Tensor, usize)>,
 }
 
@@ -28,12 +28,11 @@ impl<'a> Trial<'a> {
         Self::within(device, device.limits())
     }
 
-    /// Creates an empty plan for narrower limits than the device's.
+    /// For narrower limits than the device's.
     pub fn within(device: &'a Device, limits: &Limits) -> Self {
         Self { device, rec: Recorder::new(limits), inputs: Vec::new(), guarded: Vec::new() }
     }
 
-    /// Creates an empty plan for changed limits.
     pub(crate) fn changed(device: &'a Device, change: fn(&mut Limits)) -> Self {
         let mut limits = device.limits().clone();
         change(&mut limits);
@@ -52,12 +51,11 @@ impl<'a> Trial<'a> {
         self.input(&element.encode(values))
     }
 
-    /// Fills a tensor with NaN.
     pub(crate) fn blank(&mut self, tensor: Tensor) {
         self.rec.fill(tensor, UNWRITTEN);
     }
 
-    /// Allocates a guarded output of `len` values, filled with NaN.
+    /// A guarded output of `len` values, filled with NaN.
     pub fn output<T>(&mut self, len: usize) -> Tensor {
         let bytes = len * size_of::<T>();
         let whole = self.rec.tensor::<u8>("output", bytes + GUARD);
@@ -67,13 +65,11 @@ impl<'a> Trial<'a> {
         whole.slice::<T>(0, len)
     }
 
-    /// Allocates an output of `len` values of a type.
+    /// Allocates an output in a type.
     pub fn output_of(&mut self, element: Element, len: usize) -> Tensor {
         self.output::<u8>(element.bytes() * len)
     }
 
-    /// Runs the plan.
-    ///
     /// # Errors
     /// Those of the device, and [`Error::Driver`] for a write behind an output.
     pub fn run(self) -> Result<Run> {
@@ -92,10 +88,7 @@ impl<'a> Trial<'a> {
         Ok(run)
     }
 
-    /// Runs the plan and reads tensors, kept to the end.
-    ///
-    /// # Errors
-    /// As [`run`](Self::run).
+    /// Runs the plan and reads tensors.
     pub fn results<T: Pod, const N: usize>(mut self, outputs: [Tensor; N]) -> Result<[Vec<T>; N]> {
         outputs.iter().for_each(|output| self.rec.output(*output));
         let run = self.run()?;
@@ -103,19 +96,13 @@ impl<'a> Trial<'a> {
         Ok([(); N].map(|()| values.next().unwrap_or_default()))
     }
 
-    /// Runs the plan and reads one tensor, kept to the end.
-    ///
-    /// # Errors
-    /// As [`run`](Self::run).
+    /// Runs the plan and reads a tensor.
     pub fn result<T: Pod>(self, output: Tensor) -> Result<Vec<T>> {
         let [values] = self.results([output])?;
         Ok(values)
     }
 
-    /// Acts as [`result`](Self::result) for values of a type.
-    ///
-    /// # Errors
-    /// As [`run`](Self::run).
+    /// Reads values of a type.
     pub fn result_of(self, element: Element, output: Tensor) -> Result<Vec<f32>> {
         Ok(element.decode(&self.result::<u8>(output)?))
     }

@@ -1,18 +1,18 @@
-//! The engine's error type. Variants say how a caller can react.
+//! The engine's error type.
 
 use std::path::{Path, PathBuf};
 
 /// Result with this crate's error.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Engine errors, by the caller's possible reaction.
+/// Errors, by the caller's possible reaction.
 #[non_exhaustive]
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// An invalid argument: pass another value.
     #[error("{what}: found {found}, expected {expected}")]
     Argument {
-        /// Name of the argument, option or field.
+        /// Argument, option or field.
         what: String,
         /// Rejected value.
         found: String,
@@ -24,13 +24,13 @@ pub enum Error {
     Io {
         /// File or folder.
         path: PathBuf,
-        /// Error of the operating system.
+        /// Cause.
         source: std::io::Error,
     },
     /// A malformed file: get the file again or elsewhere.
     #[error("{}{}: {reason}", path.display(), offset.map(|o| format!(", byte {o}")).unwrap_or_default())]
     Format {
-        /// The file.
+        /// File.
         path: PathBuf,
         /// Byte offset in the file, if known.
         offset: Option<u64>,
@@ -41,7 +41,7 @@ pub enum Error {
     #[error("{}: tensors do not fit {architecture}{}{}{}", path.display(),
         list("missing", missing), list("unexpected", unexpected), list("misshapen", misshapen))]
     Weights {
-        /// The checkpoint.
+        /// Checkpoint.
         path: PathBuf,
         /// Requested or detected architecture.
         architecture: String,
@@ -58,7 +58,7 @@ pub enum Error {
     /// Too little device or host memory; nothing was submitted.
     #[error("{what} needs {needed} bytes, {available} bytes are there")]
     Memory {
-        /// Name of the allocation.
+        /// Allocation.
         what: String,
         /// Required bytes.
         needed: u64,
@@ -70,10 +70,10 @@ pub enum Error {
     Driver {
         /// Vulkan function or library call.
         call: &'static str,
-        /// Name of the driver's result code.
+        /// Result code.
         result: String,
     },
-    /// Device loss, which is permanent and loses all work: reopen the device and repeat.
+    /// Device loss, which is permanent: reopen the device and repeat all work.
     #[error(
         "the Vulkan device was lost (reset by its driver, or removed), and what ran on it with it: open it again and \
          repeat; where it is lost again, update its driver or use another"

@@ -1,7 +1,7 @@
 //! Conversion between the engine's axes (x right, y down, z forward) and formats with y up.
 //!
-//! Both conversions are half turns and their own inverse. About x: x right, y up, z backward (SPZ,
-//! OpenGL). About z: x left, y up, z forward (glTF).
+//! Both are half turns and their own inverse. About x: x right, y up, z backward (SPZ, OpenGL).
+//! About z: x left, y up, z forward (glTF).
 
 #[derive(Clone, Copy)]
 pub enum HalfTurn {

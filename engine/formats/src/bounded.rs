@@ -1,4 +1,4 @@
-//! Resizing of whole photos for Depth Anything 3, as OpenCV does it: bounded longest side.
+//! Resizing of whole photos for Depth Anything 3, as OpenCV does it.
 
 use std::borrow::Borrow;
 
@@ -20,9 +20,7 @@ const BITS: i32 = 11;
 /// common center.
 ///
 /// # Errors
-///
-/// Those of `photo`, and [`Error::Argument`] if the bound is less than a patch or a photo's fields
-/// disagree.
+/// Those of `photo`, and [`Error::Argument`] if the bound is less than a patch.
 pub fn bounded_views<P: Borrow<Image>>(
     count: usize,
     photo: impl Fn(usize) -> Result<P> + Sync,
@@ -48,7 +46,7 @@ pub fn bounded_views<P: Borrow<Image>>(
 /// up.
 ///
 /// # Errors
-/// [`Error::Argument`] if the bound is less than a patch or the photo's fields disagree.
+/// [`Error::Argument`] if the bound is less than a patch.
 pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
     photo.validate()?;
     if !(PATCH..=8192).contains(&bound) {

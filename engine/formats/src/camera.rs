@@ -14,9 +14,9 @@ pub struct Intrinsics {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Horizontal focal length in pixels.
+    /// Horizontal focal length.
     pub fx: f64,
-    /// Vertical focal length in pixels.
+    /// Vertical focal length.
     pub fy: f64,
     /// Principal point from the left edge, in pixels.
     pub cx: f64,
@@ -47,12 +47,12 @@ impl Intrinsics {
         DMat3::from_cols_array_2d(&[[self.fx, 0.0, 0.0], [0.0, self.fy, 0.0], [self.cx, self.cy, 1.0]])
     }
 
-    /// Returns the intrinsics of a crop that starts at (`left`, `top`).
+    /// Returns the intrinsics of a crop from (`left`, `top`).
     pub fn crop(&self, left: i32, top: i32, width: u32, height: u32) -> Self {
         Self { width, height, cx: self.cx - f64::from(left), cy: self.cy - f64::from(top), ..*self }
     }
 
-    /// Returns the intrinsics of the picture resized to `width` x `height` pixels.
+    /// Returns the intrinsics of the resized picture.
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let sx = f64::from(width) / f64::from(self.width);
         let sy = f64::from(height) / f64::from(self.height);
@@ -115,7 +115,8 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera at the origin, with a horizontal field of view in degrees and square pixels.
+    /// Creates a camera at the origin, with a horizontal field of view in degrees and square
+    /// pixels.
     pub fn from_hfov_deg(width: u32, height: u32, hfov_deg: f64) -> Self {
         let focal = f64::from(width) / 2.0 / (hfov_deg.to_radians() / 2.0).tan();
         let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
@@ -127,7 +128,7 @@ impl Camera {
         self.pose.view_matrix()
     }
 
-    /// Returns a world point's coordinates in pixels and its depth, if it projects into the picture.
+    /// Returns a world point's pixel coordinates and depth, if it is in the picture.
     pub fn project(&self, point: DVec3) -> Option<DVec3> {
         let (i, p) = (&self.intrinsics, self.pose.inverse().transform(point));
         let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);
@@ -138,7 +139,6 @@ impl Camera {
     /// Checks for finite values, a non-empty picture, positive focal lengths and a valid rotation.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] with the field and `name`, such as `camera 3`.
     pub fn validate(&self, name: &str) -> Result<()> {
         let Self { intrinsics: i, pose } = self;
@@ -172,10 +172,6 @@ impl Camera {
 /// Returns the camera encoder's input per view: `[t (3), quaternion xyzw (4), vfov, hfov]` of the
 /// world-to-camera pose, in radians. Poses must be relative to the first view, at the model's
 /// scale.
-///
-/// # Errors
-///
-/// [`Error::Argument`] with the index of the first invalid camera.
 pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     let encode = |(i, camera): (usize, &Camera)| {
         camera.validate(&format!("camera {i}"))?;
@@ -190,10 +186,6 @@ pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
 /// Returns the input of Depth Anything 3's camera encoder per view: `[center (3), quaternion xyzw
 /// (4), vfov, hfov]` of the camera-to-world pose, in radians. Poses are relative to the first;
 /// centers are divided by their median distance from it, at least 0.1.
-///
-/// # Errors
-///
-/// [`Error::Argument`] with the index of the first invalid camera.
 pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     cameras.iter().enumerate().try_for_each(|(i, camera)| camera.validate(&format!("camera {i}")))?;
     let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose.relative_to(&cameras[0].pose)).collect();
@@ -231,7 +223,7 @@ pub fn unit_quaternion(quat: [f32; 4]) -> [f32; 4] {
     quat.map(|q| (q / length) as f32)
 }
 
-/// Returns the rotation matrix of a nonzero quaternion `wxyz`.
+/// Returns the rotation matrix of a quaternion `wxyz`.
 pub fn matrix_from_quaternion([w, x, y, z]: [f64; 4]) -> DMat3 {
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
 }

@@ -13,8 +13,7 @@ use crate::{Error, Result};
 /// Opens a regular file, or a link to one.
 ///
 /// # Errors
-///
-/// [`Error::Io`] with `path`; [`Error::Argument`] if it is not a regular file.
+/// [`Error::Argument`] for other file types.
 pub fn open_file(path: impl AsRef<Path>) -> Result<File> {
     let path = path.as_ref();
     let failed = |source| Error::io(path, source);
@@ -66,7 +65,7 @@ fn write_beside(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Resu
     Ok(())
 }
 
-/// Any such file that no process has locked is stale.
+/// Such files are stale if no process has locked them.
 const PREFIX: &str = ".zipsplat-";
 
 fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
@@ -75,7 +74,7 @@ fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     loop {
         let file = create_in(folder)?;
         let locked = file.as_file().try_lock();
-        // Another process may have taken it for stale before it was locked.
+        // Before it was locked, another process may have taken it for stale.
         if !matches!(locked, Err(TryLockError::WouldBlock)) && file.path().exists() {
             return Ok(file);
         }
@@ -91,8 +90,7 @@ fn clean_once(folder: &Path) {
     remove_stale(folder, PREFIX, FileType::is_file, |path| std::fs::remove_file(path));
 }
 
-/// Removes the files or folders of a prefix that no process has locked; failed removals are
-/// ignored.
+/// Removes a prefix's files or folders that no process has locked, as far as possible.
 pub fn remove_stale(
     folder: &Path,
     prefix: &str,
@@ -125,7 +123,7 @@ fn plain(error: std::io::Error) -> std::io::Error {
     std::io::Error::new(error.kind(), reason)
 }
 
-/// An unfinished file under a temporary name, deleted unless finished.
+/// An unfinished temporary file, deleted unless finished.
 pub struct Unfinished {
     file: NamedTempFile,
     path: PathBuf,
@@ -138,7 +136,7 @@ impl Unfinished {
         Ok(Self { file, path: path.to_owned() })
     }
 
-    /// Returns a writer that appends to the file.
+    /// Returns an appending writer.
     pub fn writer(&self) -> Result<BufWriter<File>> {
         let file = self.file.as_file().try_clone();
         file.map(BufWriter::new).map_err(|source| Error::io(&self.path, source))

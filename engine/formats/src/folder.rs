@@ -15,7 +15,7 @@ impl Image {
     /// Opens the photos of a folder, in natural order of their names.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a folder without photos; those of [`Image::open`].
+    /// [`Error::Argument`] for a folder without photos.
     pub fn open_folder(path: impl AsRef<Path>) -> Result<Vec<Self>> {
         let path = path.as_ref();
         let entries = path.read_dir().and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect());
@@ -31,7 +31,7 @@ impl Image {
     }
 }
 
-/// Returns true for the extension of a photo, in any case.
+/// Returns true for a photo's extension, in any case.
 pub fn is_photo(path: &Path) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     extension.is_some_and(|extension| PHOTO_EXTENSIONS.contains(&extension.as_str()))

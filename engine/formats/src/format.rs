@@ -1,4 +1,4 @@
-//! Interface that each scene format implements.
+//! Interface of scene formats.
 
 use std::io::Write;
 use std::path::Path;
@@ -9,11 +9,11 @@ use crate::Result;
 pub(super) struct Format {
     /// Possible magic bytes; empty if only the extension identifies the format.
     pub marks: &'static [&'static [u8]],
-    /// True if the format stores spherical harmonics above degree 0.
+    /// Whether harmonics above degree 0 are stored.
     pub view_dependence: bool,
     /// Reads a scene; callers validate its values.
     pub read: fn(Source<'_>) -> Result<Scene>,
-    /// Reads the line of [`World::parse`]; `None` if the format cannot store a world.
+    /// Reads the line of [`World::parse`], if the format can store a world.
     pub world: Option<ReadLine>,
     /// Prepares a valid scene for writing; errors here leave the file untouched.
     pub write: for<'a> fn(&'a Scene, &SaveOptions, Option<&World>) -> Result<Encoder<'a>>,
@@ -21,10 +21,9 @@ pub(super) struct Format {
 
 type ReadLine = fn(&Path) -> Result<Option<String>>;
 
-/// Writes the prepared file.
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
-/// Format options for writing scenes.
+/// Options for writing scenes.
 #[derive(Clone, Copy, Debug)]
 pub struct SaveOptions {
     /// SPZ version: 2 for older readers, 3, or 4 (zstd).

@@ -1,4 +1,4 @@
-//! RGB images: reading photos, writing PNG.
+//! RGB images.
 
 use std::fmt;
 use std::io::{Cursor, Read};
@@ -13,7 +13,7 @@ use super::camera::{Camera, Intrinsics, Pose};
 use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
-/// Maximum side that is read.
+/// Maximum side of photos.
 pub const MAX_SIDE: u32 = 32_768;
 const MARK: u64 = 12;
 /// Decoding limit in bytes: 350 megapixels of RGB8.
@@ -51,7 +51,6 @@ impl Image {
     /// as Pillow's `convert("RGB")`, and keeps the high byte of 16-bit samples.
     ///
     /// # Errors
-    ///
     /// [`Error::Format`] for other formats, damage, truncation, or more than 32,768 pixels a side
     /// or 1 GiB decoded.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
@@ -70,18 +69,13 @@ impl Image {
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
-    /// Reads as [`Image::open`], without applying the EXIF orientation. COLMAP's cameras refer to
-    /// these pixels.
+    /// Reads as [`Image::open`], but ignores the EXIF orientation, as COLMAP's cameras do.
     pub fn open_as_stored(path: impl AsRef<Path>) -> Result<Self> {
         let (decoded, _) = decode(path.as_ref())?;
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
     /// Reads width and height as of [`Image::open`] from the header.
-    ///
-    /// # Errors
-    ///
-    /// See [`Image::open`]; damage after the header is not detected.
     pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         let ((width, height), orientation) = stored_size(path.as_ref())?;
         Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
@@ -95,8 +89,7 @@ impl Image {
     /// Converts a camera of the oriented photo to the stored pixels.
     ///
     /// # Errors
-    ///
-    /// See [`Image::size`]; [`Error::Argument`] for mirrored photos.
+    /// [`Error::Argument`] for mirrored photos.
     pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
         let orientation = stored_size(path.as_ref())?.1;
         let (lens, [right, down, forward]) =
@@ -118,10 +111,6 @@ impl Image {
     }
 
     /// Writes a PNG atomically.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Argument`] if the fields disagree.
     pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
         self.validate()?;
         write_atomic(path.as_ref(), |out| {
@@ -134,8 +123,7 @@ impl Image {
     /// Encodes a JPEG of `quality` 1 to 100.
     ///
     /// # Errors
-    ///
-    /// [`Error::Argument`] when the fields disagree or a side is longer than a JPEG can have.
+    /// [`Error::Argument`] for a side longer than a JPEG can have.
     pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>> {
         self.validate()?;
         let mut bytes = Vec::new();
@@ -149,13 +137,12 @@ impl Image {
     /// the reference's viewer. NaN becomes 0.
     ///
     /// # Errors
-    ///
-    /// [`Error::Argument`] if a side is zero or the length is not `3 * width * height`.
+    /// As [`Image::new`].
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
     }
 
-    /// Crops to `width` x `height` pixels from (`left`, `top`).
+    /// Crops from (`left`, `top`).
     ///
     /// # Errors
     /// [`Error::Argument`] if the crop is empty or exceeds the image.
@@ -176,7 +163,7 @@ impl Image {
     }
 
     /// # Errors
-    /// [`Error::Argument`] if a side is zero or `rgb` has not `3 * width * height` bytes.
+    /// As [`Image::new`].
     pub fn validate(&self) -> Result<()> {
         let expected = 3 * u64::from(self.width) * u64::from(self.height);
         if expected == 0 || self.rgb.len() as u64 != expected {
@@ -190,8 +177,7 @@ impl Image {
 /// Arranges images on black in rows of `columns`, each at the top left of equal cells.
 ///
 /// # Errors
-///
-/// [`Error::Argument`] without images or columns, or if the sheet exceeds the limits of
+/// [`Error::Argument`] without images or columns, or for a sheet beyond the limits of
 /// [`Image::open`].
 pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     if images.is_empty() || columns == 0 {
@@ -218,7 +204,7 @@ pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     Image::new(width as u32, height as u32, rgb)
 }
 
-/// Reads a file; only its start if that is no photo's, since such files may be large.
+/// Reads only the start of files that are no photos, which may be large.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let failed = |source| Error::io(path, source);
     let (mut file, mut bytes) = (open_file(path)?, Vec::new());
@@ -233,7 +219,7 @@ fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
     Err(Error::format(path, None, format!("found {kind}, expected PNG, JPEG or WebP: {advice}")))
 }
 
-/// Returns true if a file starts as HEIC (brands of ISO/IEC 23008-12).
+/// Returns true for a HEIC (brands of ISO/IEC 23008-12).
 pub fn is_heic_start(start: &[u8]) -> bool {
     const BRANDS: [&[u8]; 8] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"];
     start.get(4..8) == Some(b"ftyp") && start.get(8..12).is_some_and(|brand| BRANDS.contains(&brand))
@@ -255,7 +241,7 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
         let frames = quoted(&path.with_file_name("%03d.jpg"));
         format!("`ffmpeg -i {} -vf fps=2 {frames}` takes two photos a second from it", quoted(path))
     };
-    // Brands of ISO/IEC 14496-12; any unknown brand is a video.
+    // Brands of ISO/IEC 14496-12; unknown brands are videos.
     match (start.get(4..8), start.get(8..12)) {
         (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", photo("magick", "", ".png"))),
         _ if is_heic_start(start) => Some(("a HEIC picture", photo("heif-convert", "", ".jpg"))),
@@ -319,8 +305,8 @@ const JPEG_START: [u8; 2] = [0xff, 0xd8];
 const JPEG_SCAN: u8 = 0xda;
 const JPEG_END: [u8; 2] = [0xff, 0xd9];
 
-/// Detects truncated JPEGs, which the decoder silently pads with gray. Searches after the start of
-/// scan, because thumbnails in earlier segments have end markers, too.
+/// The decoder pads truncated JPEGs with gray. Searches after the start of scan, because thumbnails
+/// in earlier segments have end markers, too.
 fn jpeg_has_end(bytes: &[u8]) -> bool {
     let mut at = JPEG_START.len();
     while let Some(&[0xff, marker, high, low]) = bytes.get(at..at + 4) {

@@ -73,11 +73,10 @@ impl Distortion {
 }
 
 impl Lens {
-    /// Returns the pinhole camera of the photo's size with the widest view that the photo fills. It
-    /// keeps the principal point and scales both focal lengths by one zoom.
+    /// Returns the pinhole camera of the photo's size with the widest view that the photo fills.
+    /// Keeps the principal point and scales both focal lengths by one zoom.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] with `name` for coefficients without such a camera.
     pub fn pinhole(&self, name: &str) -> Result<Intrinsics> {
         let [mut low, mut high] = match self.distortion {
@@ -100,10 +99,6 @@ impl Lens {
 
     /// Undistorts a photo to [`Lens::pinhole`] at the photo's own resolution, by cubic
     /// interpolation.
-    ///
-    /// # Errors
-    ///
-    /// See [`Lens::pinhole`]; [`Error::Argument`] if the photo's fields disagree.
     pub fn undistort(&self, photo: &Image) -> Result<Image> {
         photo.validate()?;
         let (lens, pinhole) = (self.intrinsics, self.pinhole("photo")?);

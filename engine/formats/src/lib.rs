@@ -1,4 +1,7 @@
-//! Images, cameras, 3D Gaussian scenes and their files. Failed reads and writes give [`Error::Io`].
+//! Images, cameras, 3D Gaussian scenes and their files.
+//!
+//! Failed reads and writes give [`Error::Io`], malformed files [`Error::Format`], invalid cameras
+//! and images, scenes or photos whose fields disagree [`Error::Argument`].
 
 mod axes;
 mod bounded;

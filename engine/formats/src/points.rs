@@ -6,22 +6,22 @@ use rayon::prelude::*;
 use rstar::{PointDistance, RTree, primitives::GeomWithData};
 
 const NEIGHBORS: usize = 3;
-/// Limit of a Gaussian's size relative to the nearest camera's distance: isolated points are often
+/// Maximum size of a Gaussian relative to the nearest camera's distance: isolated points are often
 /// wrong.
 const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
-/// Degree of the harmonics: views of few photos do not determine more.
+/// Few photos' views do not determine more.
 const DEGREE: u32 = 1;
 /// Harmonic of degree 0, `1 / (2 sqrt(pi))`.
 const SH_0: f32 = 0.282_094_8;
 const GRAY: [u8; 3] = [128; 3];
 
 impl Scene {
-    /// Creates an isotropic Gaussian per point with the point's color. Its standard deviation is
-    /// the root mean square distance to the three nearest points elsewhere (Kerbl et al. 2023).
+    /// Creates an isotropic Gaussian per point. Its standard deviation is the root mean square
+    /// distance to the three nearest points elsewhere (Kerbl et al. 2023).
     ///
     /// # Errors
-    /// [`Error::Argument`] if there are no two distinct points.
+    /// [`Error::Argument`] without two distinct points.
     pub fn from_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Self> {
         let places = cloud.positions.iter().map(|at| GeomWithData::new(at.map(f64::from), ()));
         let tree = RTree::bulk_load(places.collect());

@@ -4,9 +4,9 @@ use super::resample::resize_lanczos;
 use super::{Camera, Image, Intrinsics};
 use crate::{Error, Result};
 
-/// Patch side in pixels, which divides the input's sides.
+/// Patch side, which divides the input's sides.
 pub const PATCH: u32 = 14;
-/// Input side of the released model's training, in pixels.
+/// Input side of the released model's training.
 pub const DEFAULT_SIZE: u32 = 252;
 
 /// A photo resized for the network.
@@ -27,7 +27,7 @@ pub struct PixelMap {
     pub to: [u32; 2],
     /// Result pixels per photo pixel.
     pub scale: [f64; 2],
-    /// Position of the photo's top left corner.
+    /// Result position of the photo's top left corner.
     pub offset: [f64; 2],
 }
 
@@ -52,11 +52,9 @@ impl PixelMap {
         Self { from: [photo.width, photo.height], to: [width, height], scale, offset: [0.0; 2] }
     }
 
-    /// Maps intrinsics of the photo to the result. Intrinsics of another resolution are scaled
-    /// first.
+    /// Maps intrinsics of the photo, in any resolution, to the result.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] with `label` if the aspect ratios differ by more than 1 %.
     pub fn apply(&self, intrinsics: &Intrinsics, label: &str) -> Result<Intrinsics> {
         let [width, height] = self.from;
@@ -102,18 +100,13 @@ pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
 /// Crops the center to the aspect ratio of `width` x `height`, and resizes by Pillow's LANCZOS.
 ///
 /// # Errors
-/// [`Error::Argument`] if a side is not a positive multiple of [`PATCH`], or the photo's fields
-/// disagree.
+/// [`Error::Argument`] if a side is not a positive multiple of [`PATCH`].
 pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
     check_size(width, height)?;
     cropped(photo, width, height)
 }
 
-/// Crops and resizes as [`fit`], to any size.
-///
-/// # Errors
-///
-/// [`Error::Argument`] if a side is zero, or the photo's fields disagree.
+/// As [`fit`], to any size but zero.
 pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let rect = crop_to_aspect(photo.width, photo.height, f64::from(width) / f64::from(height));
@@ -122,7 +115,7 @@ pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     Ok(View { image, map: PixelMap::cropped([photo.width, photo.height], [width, height]) })
 }
 
-/// Resizes a whole photo by the scale of [`cropped`], without cropping.
+/// Resizes a whole photo by the scale of [`cropped`].
 pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));
@@ -133,9 +126,9 @@ pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rect {
-    /// First column.
+    /// Left column.
     pub left: u32,
-    /// First row.
+    /// Top row.
     pub top: u32,
     /// Columns.
     pub width: u32,

@@ -12,8 +12,7 @@ use crate::{Error, Result};
 /// bits between.
 ///
 /// # Errors
-///
-/// [`Error::Argument`] if a side is zero or the image's fields disagree.
+/// [`Error::Argument`] if a side is zero.
 pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     image.validate()?;
     if width == 0 || height == 0 {

@@ -13,7 +13,7 @@ const SAMPLE: usize = 4096;
 
 /// Returns the near plane of a scene of this extent.
 pub fn near(extent: f64) -> f32 {
-    // Clamped to f32's normal range; a scene without extent has the default.
+    // Clamped to f32's normal range.
     if extent < SMALL && extent > 0.0 { NEAR * extent.log2().floor().max(-100.0).exp2() as f32 } else { NEAR }
 }
 
@@ -55,7 +55,7 @@ impl Scene {
         self.means.is_empty()
     }
 
-    /// Returns `K`, the coefficients per Gaussian and color channel.
+    /// Returns `K`.
     pub fn sh_coeffs_per_gaussian(&self) -> usize {
         coeffs(self.sh_degree)
     }
@@ -76,7 +76,7 @@ impl Scene {
         near(self.extent())
     }
 
-    /// Appends a scene of the same degree.
+    /// Appends a scene.
     ///
     /// # Panics
     /// If the degrees differ.
@@ -93,7 +93,6 @@ impl Scene {
     /// coefficients `[K][rgb]`.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] if the degree is above 3 or the last row is incomplete.
     pub fn from_packed(packed: &[f32], sh_degree: u32) -> Result<Self> {
         check_degree(sh_degree)?;
@@ -154,7 +153,7 @@ impl Scene {
     }
 
     /// Moves the scene to another world: x becomes `pose(scale x)`. Quaternions and spherical
-    /// harmonics rotate, too, so images do not change.
+    /// harmonics rotate, too.
     pub fn place(&mut self, scale: f64, pose: &Pose) {
         let turn = DQuat::from_mat3(&pose.rotation);
         let (harmonics, k) = (sh_rotation(&pose.rotation), self.sh_coeffs_per_gaussian());
@@ -183,7 +182,7 @@ impl Scene {
         self.keep(&self.most_visible(group, count));
     }
 
-    /// Returns the indices that [`Scene::keep_most_visible`] keeps, ascending.
+    /// Returns the indices that [`Scene::keep_most_visible`] keeps.
     pub fn most_visible(&self, group: usize, count: usize) -> Vec<usize> {
         let area = |[x, y, z]: [f32; 3]| (x * y).max(y * z).max(x * z);
         let visible: Vec<f32> = self.opacities.iter().zip(&self.scales).map(|(o, scales)| o * area(*scales)).collect();
@@ -199,10 +198,6 @@ impl Scene {
     }
 
     /// Removes invalid Gaussians and returns their number.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Argument`] if the arrays' lengths disagree.
     pub fn drop_invalid(&mut self) -> Result<usize> {
         self.check_lengths()?;
         let before = self.len();
@@ -227,10 +222,9 @@ impl Scene {
         self.opacities = kept.iter().map(|i| self.opacities[*i]).collect();
     }
 
-    /// Checks array lengths and that all values are finite and in range.
+    /// Checks that array lengths agree and that all values are finite and in range.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] with the number of invalid Gaussians and the first of them.
     pub fn validate(&self) -> Result<()> {
         self.check_lengths()?;

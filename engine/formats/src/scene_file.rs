@@ -1,4 +1,4 @@
-//! Scene files of every format: each is a module and a row of the table below.
+//! Scene files: a module and a row of the table below per format.
 
 use std::io::Read;
 use std::path::Path;
@@ -52,7 +52,7 @@ macro_rules! formats {
 }
 
 formats! {
-    /// 3D Gaussian Splatting PLY; also reads packed ones of SuperSplat and PlayCanvas
+    /// 3D Gaussian Splatting; also reads packed ones of SuperSplat and PlayCanvas
     /// (`.compressed.ply`).
     Ply ".ply" ply::FORMAT;
     /// Niantic's SPZ.
@@ -61,7 +61,7 @@ formats! {
     Splat ".splat" splat::FORMAT;
     /// [`SceneFormat::Gltf`] in one binary file.
     Glb ".glb" gltf::BINARY;
-    /// glTF 2.0 with KHR_gaussian_splatting, as JSON.
+    /// glTF 2.0 with KHR_gaussian_splatting.
     Gltf ".gltf" gltf::TEXT;
 }
 
@@ -72,7 +72,7 @@ impl SceneFormat {
         Self::ALL.iter().copied().find(|format| format.extension()[1..].eq_ignore_ascii_case(extension))
     }
 
-    /// Finds a format by a path's extension, in any case.
+    /// Finds a format by a path's extension.
     pub fn of_extension(path: impl AsRef<Path>) -> Option<Self> {
         Self::named(path.as_ref().extension()?.to_str()?)
     }
@@ -108,11 +108,10 @@ impl SceneFormat {
 }
 
 impl Scene {
-    /// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right,
-    /// y down, z forward.
+    /// Reads a scene, detected as [`SceneFormat::of_file`], and converts it to axes x right, y
+    /// down, z forward.
     ///
     /// # Errors
-    ///
     /// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of
     /// range.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
@@ -120,10 +119,6 @@ impl Scene {
     }
 
     /// Reads as [`Scene::open`], without validating values: NaN passes.
-    ///
-    /// # Errors
-    ///
-    /// See [`Scene::open`], except for values.
     pub fn open_unchecked(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let format = SceneFormat::of_file(path)?.ok_or_else(|| no_scene(path))?;
@@ -137,10 +132,6 @@ impl Scene {
     }
 
     /// Decodes as [`Scene::decode`], without validating values.
-    ///
-    /// # Errors
-    ///
-    /// See [`Scene::decode`], except for values.
     pub fn decode_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Self> {
         let name = Path::new(IN_MEMORY);
         let format = SceneFormat::detect(bytes, format).ok_or_else(|| no_scene(name))?;
@@ -151,9 +142,7 @@ impl Scene {
     /// [`write_transforms`](super::poses::write_transforms).
     ///
     /// # Errors
-    ///
-    /// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot
-    /// store it.
+    /// [`Error::Argument`] for an unknown extension or a scene that the format cannot store.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         self.save_with(path, &SaveOptions::default())
     }
@@ -163,8 +152,8 @@ impl Scene {
         self.save_in(path, options, None)
     }
 
-    /// Writes as [`Scene::save`], with the scene's world for [`read_world`](super::read_world) if
-    /// known and [`SceneFormat::keeps_world`].
+    /// As [`Scene::save_with`], with a world for [`read_world`](super::read_world) if
+    /// [`SceneFormat::keeps_world`].
     pub fn save_in(&self, path: impl AsRef<Path>, options: &SaveOptions, world: Option<&World>) -> Result<()> {
         let path = path.as_ref();
         let format = SceneFormat::of_extension(path)
@@ -173,11 +162,7 @@ impl Scene {
         write_atomic(path, (format.format().write)(self, options, world)?)
     }
 
-    /// Encodes the file that [`Scene::save`] writes.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Argument`] if the scene is invalid or the format cannot store it.
+    /// Encodes the file of [`Scene::save`].
     pub fn encode(&self, format: SceneFormat, options: &SaveOptions) -> Result<Vec<u8>> {
         self.validate()?;
         let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
@@ -193,7 +178,7 @@ fn no_scene(name: &Path) -> Error {
     Error::format(name, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))
 }
 
-/// Reads a scene's world, if this engine stored it in the file.
+/// Reads a scene's world, if this engine stored one.
 pub fn read_world(path: impl AsRef<Path>) -> Result<Option<World>> {
     let path = path.as_ref();
     let Some(read) = SceneFormat::of_file(path)?.and_then(|format| format.format().world) else { return Ok(None) };

@@ -5,8 +5,8 @@ use glam::{DMat3, DVec3};
 const COEFFS: usize = 16;
 
 /// Returns `M` with `c' = M c`: color of `c'` in direction `R d` equals that of `c` in `d`. Entries
-/// are integrals of `Y_j(d) Y_k(R⁻¹ d)`, polynomials of degree at most 6. Quadrature with four
-/// Gauss-Legendre heights and eight azimuths is exact.
+/// are integrals of `Y_j(d) Y_k(R⁻¹ d)`, polynomials of degree at most 6, for which quadrature with
+/// four Gauss-Legendre heights and eight azimuths is exact.
 pub fn sh_rotation(rotation: &DMat3) -> [[f64; COEFFS]; COEFFS] {
     let inverse = rotation.transpose();
     let spread = 2.0 / 7.0 * 1.2f64.sqrt();

@@ -1,6 +1,6 @@
 //! `.splat` of antimatter15's viewer, 32 bytes per Gaussian: mean 3 f32, standard deviations 3 f32,
-//! color and opacity RGBA8, rotation wxyz 4 u8 centered at 128. Axes as in PLY. Stores only the
-//! color of degree 0, clamped to 0..1.
+//! color and opacity RGBA8, rotation wxyz 4 u8 centered at 128. Axes as in PLY. Color is that of
+//! degree 0, clamped to 0..1.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -13,7 +13,7 @@ pub(super) const FORMAT: Format =
 
 const ROW: usize = 32;
 
-/// Harmonic of degree 0: `1 / (2 sqrt(pi))`.
+/// `1 / (2 sqrt(pi))`.
 fn sh_constant() -> f32 {
     0.5 * FRAC_1_PI.sqrt()
 }

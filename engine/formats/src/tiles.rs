@@ -1,6 +1,6 @@
 //! Networks trained on squares handle other shapes badly, and their camera encoders ignore
-//! principal points. So each square gets its own camera: same position, turned to the square's
-//! center, with a centered principal point.
+//! principal points. So each square gets its own camera at the same position, turned to the
+//! square's center.
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -18,12 +18,11 @@ pub fn tile_count(width: u32, height: u32) -> usize {
 }
 
 /// Returns square views of `side` x `side` pixels covering a photo, from left or top, with cameras
-/// in the world of `camera`. Squares overlap unless the ratio is whole, and repeat the edge beyond
-/// it. `camera` may have another resolution.
+/// in the world of `camera`, which may have another resolution. Squares overlap unless the ratio is
+/// whole, and repeat the edge beyond it.
 ///
 /// # Errors
-/// See [`Camera::validate`] and [`PixelMap::apply`] with `label`; [`Error::Argument`] if `side` is
-/// 0.
+/// Those of [`PixelMap::apply`] with `label`; [`Error::Argument`] if `side` is 0.
 pub fn tiles(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result<Vec<(Image, Camera)>> {
     photo.validate()?;
     camera.validate(label)?;

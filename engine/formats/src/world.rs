@@ -8,14 +8,14 @@ use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion
 use super::poses::CaptureView;
 use super::trajectory::mean_up;
 
-/// Prefix of this engine's metadata: a comment in PLY and SPZ, an extra in glTF.
+/// Prefix of metadata: a comment in PLY and SPZ, an extra in glTF.
 pub(super) const MADE_BY: &str = "zipsplat";
 const PHOTO: &str = "origin: ";
 const CAMERAS: &str = "world: cameras, first ";
 const CAMERA: &str = "camera ";
 const LENS: &str = "lens ";
 const UP: &str = "up ";
-/// Separator of fields. Names of photos with control characters are not stored.
+/// Names of photos with control characters are not stored.
 const SEPARATOR: char = '\t';
 
 /// World of a scene from known cameras, in their unit of length.
@@ -23,8 +23,8 @@ const SEPARATOR: char = '\t';
 pub struct World {
     /// The coordinate frame.
     pub origin: Origin,
-    /// Names of the first photo and the one farthest from it, and their cameras' centers in the
-    /// scene's world. They tell whether other cameras share that world.
+    /// Names and camera centers of the first photo and the one farthest from it. They tell whether
+    /// other cameras share that world.
     pub landmarks: Vec<(String, DVec3)>,
     /// Size and field of view of the first photo.
     pub lens: Option<Intrinsics>,
@@ -35,20 +35,20 @@ pub struct World {
 /// Coordinate frame of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Origin {
-    /// Camera frame of the named photo: x right, y down, z forward.
+    /// Camera frame of the named photo.
     Photo(String),
     /// The cameras' world, with the pose of the first photo's camera.
     Cameras(Pose),
 }
 
 impl World {
-    /// The camera frame of the first photo; `None` without photos.
+    /// Returns the first photo's camera frame, if any.
     pub fn of_first(frames: &[&CaptureView]) -> Option<Self> {
         let first = frames.first()?;
         Some(Self::of(Origin::Photo(first.name.clone()), &first.camera.pose.inverse(), frames))
     }
 
-    /// The world of the cameras; `None` without photos.
+    /// Returns the cameras' world, if any.
     pub fn of_cameras(frames: &[&CaptureView]) -> Option<Self> {
         Some(Self::of(Origin::Cameras(frames.first()?.camera.pose), &Pose::IDENTITY, frames))
     }

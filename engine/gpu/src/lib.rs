@@ -1,4 +1,4 @@
-//! Vulkan compute: device, arena, recorder, runs and profiles.
+//! Vulkan compute.
 //!
 //! A [`Recorder`] turns typed kernel calls into a [`Plan`]: a command list with arena offsets. A
 //! [`Run`] allocates the arena on a [`Device`] and executes the plan any number of times.

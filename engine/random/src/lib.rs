@@ -9,12 +9,12 @@ const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
 pub struct Random(u64);
 
 impl Random {
-    /// Creates the generator of a seed.
+    /// Creates a generator.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// Creates one of the independent streams of a seed.
+    /// Creates an independent stream of a seed.
     pub fn stream(seed: u64, stream: u64) -> Self {
         Self(mix(Self::nth(seed, 0).wrapping_add(stream.wrapping_mul(INCREMENT))))
     }
@@ -40,7 +40,7 @@ impl Random {
         (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform in `low..high`, in steps of 2^-24 of its width.
+    /// Uniform in `low..high`, in steps of 2^-24 of the width.
     pub fn uniform(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * ((self.bits() >> 40) as f32 / (1 << 24) as f32)
     }
@@ -52,7 +52,7 @@ impl Random {
     }
 }
 
-/// Hashes 64 bits: a bijection that maps consecutive numbers to unrelated ones.
+/// Hashes 64 bits bijectively.
 pub fn mix(state: u64) -> u64 {
     let z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -24,7 +24,7 @@ use focal::weighted_median;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// A world point and its pixel; centers at +0.5.
+/// A world point and its pixel (centers at +0.5).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correspondence {
     /// In world space.

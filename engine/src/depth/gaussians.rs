@@ -1,6 +1,4 @@
-//! Pixel-aligned Gaussians of the Gaussian head, in f64.
-//!
-//! Source: Depth Anything 3.
+//! Pixel-aligned Gaussians of Depth Anything 3's Gaussian head, in f64.
 
 use crate::{
     stages::heads::GAUSSIAN_VALUES,

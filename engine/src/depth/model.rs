@@ -46,7 +46,7 @@ impl Default for DepthOptions {
 }
 
 impl DepthModel {
-    /// Loads weights: a checkpoint's path, or `seeded:NAME` for random ones.
+    /// Loads a checkpoint's path, or `seeded:NAME` for random weights.
     ///
     /// # Errors
     /// As [`DepthCheckpoint::open`]; [`crate::Error::Memory`].

@@ -159,8 +159,7 @@ pub struct DepthMap {
     pub rays: Option<RayMap>,
     /// `[height, width]` for separate views: sky above 0.3.
     pub sky: Option<Vec<f32>>,
-    /// Decoded camera of joint views: center 3, camera-to-world quaternion xyzw 4, vertical and
-    /// horizontal field of view in radians.
+    /// Decoded camera of joint views: see [`decoded_camera`](crate::cameras::decoded_camera).
     pub encoding: Option<[f32; 9]>,
     /// `[height, width, GAUSSIAN_VALUES]`, see [`pixel_gaussians`](super::pixel_gaussians).
     pub gaussians: Option<Vec<f32>>,

@@ -2,7 +2,7 @@ use super::DepthPrediction;
 use crate::types::{Camera, Image};
 use glam::DVec3;
 
-/// Threshold, clamped to quantiles so that some but not all pixels pass.
+/// Clamped to quantiles so that some but not all pixels pass.
 const CONFIDENT: f32 = 1.05;
 const SHARES: [f64; 2] = [0.4, 0.9];
 

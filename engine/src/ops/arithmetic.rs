@@ -18,12 +18,10 @@ impl Precision {
     /// Every precision, slowest first.
     pub const ALL: [Self; 4] = [Self::Fp32, Self::Bf16, Self::Fp16, Self::Int8];
 
-    /// The default: `Fp16` with matrix units, else `Fp32`.
     pub fn best(limits: &Limits) -> Self {
         if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fp16 } else { Precision::Fp32 }
     }
 
-    /// Command-line name.
     pub fn name(self) -> &'static str {
         match self {
             Precision::Fp32 => "fp32",
@@ -42,35 +40,29 @@ impl Precision {
 pub struct Arithmetic {
     /// Factor type of matrix products.
     pub element: Element,
-    /// Tiles of linear layers on lanes.
+    /// For linear layers on lanes.
     pub tiles: Tiles,
-    /// Tiles of linear layers that are always f32.
+    /// For linear layers that are always f32.
     pub exact_tiles: Tiles,
-    /// Matrix units for linear layers.
     pub linear: Option<Units>,
-    /// Matrix units for attention.
     pub attention: Option<Units>,
-    /// 8-bit matrix units for blocks' linear layers.
+    /// For blocks' linear layers.
     pub quantized: Option<Units>,
-    /// Tiles of blocks' 8-bit layers on lanes.
+    /// For blocks' 8-bit layers on lanes.
     pub dots: Option<Tiles>,
-    /// f16 matrix units for k-means, in every precision.
+    /// For k-means, f16 in every precision.
     pub nearest: Option<Units>,
 }
 
-/// Matrix units as configured for a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Units {
-    /// Type of the factors.
     pub factor: Element,
-    /// Matrix shape.
     pub shape: MatrixShape,
     /// Tiles by result size.
     pub tiles: Tiles,
 }
 
 impl Units {
-    /// Returns the matrix units for a factor type, if any.
     pub fn of(factor: Element, limits: &Limits) -> Option<Self> {
         limits.matrices.of(factor).map(|shape| Self { factor, shape, tiles: Tiles::default() })
     }
@@ -93,17 +85,14 @@ impl Arithmetic {
         Self { tiles: self.exact_tiles, exact_tiles: self.exact_tiles, ..Self::EXACT }
     }
 
-    /// Whether blocks use 8-bit integers.
     pub fn has_integers(&self) -> bool {
         self.quantized.is_some() || self.dots.is_some()
     }
 
-    /// Removes 8-bit integers.
     pub fn without_integers(&self) -> Self {
         Self { quantized: None, dots: None, ..*self }
     }
 
-    /// Returns the arithmetic of a precision, if supported.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
         let element = match precision {
             Precision::Fp32 => return Some(Self::EXACT),

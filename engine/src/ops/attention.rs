@@ -8,22 +8,17 @@ use crate::{
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
-/// Attention heads.
 #[derive(Clone, Copy, Debug)]
 pub struct Heads {
-    /// Number of heads.
     pub count: usize,
-    /// Channels per head.
     pub dim: usize,
 }
 
 impl Heads {
-    /// `count` heads over `width` channels.
     pub fn new(count: usize, width: usize) -> Self {
         Self { count, dim: width / count }
     }
 
-    /// Channels of all heads.
     pub fn width(&self) -> usize {
         self.count * self.dim
     }
@@ -34,7 +29,6 @@ impl Heads {
 pub struct Part {
     /// Norm per head.
     pub norm: Option<Norm>,
-    /// Rotary embedding.
     pub rotary: Option<Rotary>,
     /// Whether these are keys, transposed on lanes.
     pub keys: bool,
@@ -49,26 +43,20 @@ pub struct Part {
 pub struct Rotary {
     /// `[turned, dim / 2, 2]` f32: cosine and sine per channel pair.
     pub table: Tensor,
-    /// Tokens per view.
+    /// Per view.
     pub tokens: usize,
     /// Leading tokens that rotate.
     pub turned: usize,
 }
 
-/// Shape of an attention.
 #[derive(Clone, Copy, Debug)]
 pub struct Attention {
-    /// Heads.
     pub heads: Heads,
-    /// Number of independent sequences.
+    /// Independent sequences.
     pub sequences: usize,
-    /// Queries per sequence.
     pub queries: usize,
-    /// Keys per sequence.
     pub keys: usize,
-    /// Key pooling.
     pub pool: Option<Pool>,
-    /// Kernel.
     pub kernel: AttentionKernel,
 }
 
@@ -82,7 +70,6 @@ pub enum AttentionKernel {
 }
 
 impl AttentionKernel {
-    /// Type of all tensors.
     pub fn element(self) -> Element {
         match self {
             AttentionKernel::Lanes(element) | AttentionKernel::Matrix(Units { factor: element, .. }) => element,
@@ -171,7 +158,6 @@ impl Attention {
         rec.dispatch_groups(kernel, rows * self.heads.count);
     }
 
-    /// Query scale, 1 / sqrt(dim).
     pub fn scale(&self) -> f32 {
         1.0 / (self.heads.dim as f32).sqrt()
     }

@@ -15,7 +15,6 @@ pub enum Ffn {
     SwiGlu,
 }
 
-/// Transformer block parameters.
 pub struct Block {
     heads: Heads,
     attention: AttentionKernel,
@@ -38,13 +37,10 @@ pub(super) struct Mlp {
 /// Sequences in a residual stream `[sequences * tokens, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequences {
-    /// Number of independent sequences.
+    /// Independent sequences.
     pub count: usize,
-    /// Tokens per sequence.
     pub tokens: usize,
-    /// Rotary embedding.
     pub rotary: Option<Rotary>,
-    /// Key pooling.
     pub pool: Option<Pool>,
 }
 
@@ -67,7 +63,6 @@ impl Block {
         }
     }
 
-    /// Runs the block in place.
     pub fn record(&self, rec: &mut Recorder, x: Rows, sequences: Sequences) {
         let Sequences { count, tokens, rotary, pool } = sequences;
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), x.width);

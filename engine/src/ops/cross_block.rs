@@ -7,7 +7,6 @@ use super::{
 };
 use crate::gpu::{Element, Recorder, Tensor};
 
-/// Cross-attention block parameters.
 pub struct CrossBlock {
     heads: Heads,
     attention: AttentionKernel,

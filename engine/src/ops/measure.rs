@@ -8,7 +8,7 @@ use crate::{
     kernels::measure as kernels,
 };
 
-/// Copies a multiple of 16 bytes.
+/// The size is a multiple of 16 bytes.
 pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
     let out = rec.tensor::<u8>("copy", from.bytes() as usize);
     let quads = from.bytes() as usize / 16;
@@ -19,7 +19,6 @@ pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
 /// FMA chains on every lane.
 #[derive(Clone, Copy, Debug)]
 pub struct FmaChains {
-    /// Invocations.
     pub threads: usize,
     /// Rounds of [`FmaChains::STEPS`] steps.
     pub iterations: u32,
@@ -35,7 +34,6 @@ impl FmaChains {
     /// Chain steps per iteration.
     pub const STEPS: u32 = 8;
 
-    /// Multiplications and additions.
     pub fn flops(&self) -> u64 {
         2 * self.threads as u64 * u64::from(Self::CHAINS * Self::STEPS) * u64::from(self.iterations)
     }
@@ -60,7 +58,6 @@ impl FmaChains {
 /// Accumulated matrix products.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixProducts {
-    /// Matrix units, without tiles.
     pub units: Units,
     /// Redundant subgroups, a multiple of [`MatrixProducts::SUBGROUPS`].
     pub subgroups: usize,
@@ -79,7 +76,6 @@ impl MatrixProducts {
         if limits.cpu { 4 } else { 8 }
     }
 
-    /// Multiplications and additions.
     pub fn flops(&self, limits: &Limits) -> u64 {
         let MatrixShape { m, n, k } = self.units.shape;
         let products = (self.subgroups * Self::products(limits)) as u64 * u64::from(self.iterations);
@@ -108,7 +104,6 @@ impl MatrixProducts {
         out
     }
 
-    /// Decodes f32 or integer results.
     pub fn sums(&self, words: Vec<u32>) -> Vec<f32> {
         let number = |word: u32| match self.units.factor {
             Element::I8 => word as i32 as f32,

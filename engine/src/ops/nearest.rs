@@ -15,7 +15,6 @@ const ORIGIN_ROWS: usize = 256;
 
 const SHARES: usize = 8;
 
-/// Nearest-row kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NearestKernel {
     /// cluster/nearest or cluster/nearest_uniform: f32 differences.
@@ -24,7 +23,7 @@ pub enum NearestKernel {
     Matrix(Units),
 }
 
-/// Nearest-row search by squared Euclidean distance.
+/// Search by squared Euclidean distance.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest {
     space: Space,
@@ -37,7 +36,6 @@ enum Space {
     Matrix { units: Units, origin: Tensor },
 }
 
-/// Rows in kernel layout.
 #[derive(Clone, Copy, Debug)]
 pub struct NearestRows {
     rows: Tensor,
@@ -52,7 +50,7 @@ impl Nearest {
     /// Relative distance within which targets tie, well above rounding.
     pub const TIE: f32 = 1.0 / 65536.0;
 
-    /// Prepares a search; the origin is the mean of `sample`, and its width a multiple of 4.
+    /// The origin is the mean of `sample`, whose width is a multiple of 4.
     pub fn among(rec: &mut Recorder, kernel: NearestKernel, sample: Rows) -> Self {
         let Rows { tensor: source, count, width, .. } = sample;
         let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
@@ -68,7 +66,7 @@ impl Nearest {
         Self::about(origin, units, width)
     }
 
-    /// Searches on matrix units about `origin` `[width]` f32; errors grow with distance from it.
+    /// `origin` is `[width]` f32; errors grow with distance from it.
     pub fn about(origin: Tensor, units: Units, width: usize) -> Self {
         Self { space: Space::Matrix { units, origin }, width }
     }
@@ -81,7 +79,6 @@ impl Nearest {
         }
     }
 
-    /// Converts f32 rows to kernel layout.
     pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
             let values = if divides_panels(rec.limits()) { self.panels(rec, rows, count) } else { rows };

@@ -4,26 +4,23 @@ use crate::{
     kernels::ops,
 };
 
-/// Layer norm parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Norm {
     /// `[width]` f32.
     pub weight: Tensor,
     /// `[width]` f32.
     pub bias: Tensor,
-    /// Channels.
     pub width: usize,
-    /// Epsilon.
     pub eps: f32,
 }
 
 impl Norm {
-    /// Normalizes f32 rows to type `output`.
+    /// `input` is f32.
     pub fn apply(&self, rec: &mut Recorder, input: Rows, output: Element) -> Rows {
         self.apply_to_sum(rec, input, None, output)
     }
 
-    /// Normalizes f32 `input` + `addend` to type `output`.
+    /// Normalizes f32 `input` + `addend`.
     pub fn apply_to_sum(&self, rec: &mut Recorder, input: Rows, addend: Option<Rows>, output: Element) -> Rows {
         let out = Rows::scratch(rec, "normed", input.count, self.width, output);
         self.record(rec, input, addend, out, 0);

@@ -1,4 +1,4 @@
-//! Model parameters: layout from shapes, loading from checkpoints.
+//! Model parameters.
 
 use super::{
     Arithmetic, AttentionKernel, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
@@ -15,7 +15,6 @@ use std::{
     sync::Arc,
 };
 
-/// Declared parameters: name, shape, location and packing.
 pub struct ParameterLayout {
     layout: ResidentLayout,
     declared: Vec<Declared>,
@@ -40,13 +39,10 @@ impl<F: Fn(&str, &mut [f32]) -> Result<()>> ParameterSource for F {
     }
 }
 
-/// Handle of a host parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct HostParameter(usize);
 
-/// Values of all parameters.
 pub struct Parameters {
-    /// Parameters on the device.
     pub resident: Arc<Resident>,
     /// Per declaration; empty for device parameters.
     host: Vec<Vec<f32>>,
@@ -60,7 +56,6 @@ impl Index<HostParameter> for Parameters {
     }
 }
 
-/// Source of parameter values.
 pub trait ParameterSource {
     /// Reads values in C order.
     fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()>;
@@ -72,7 +67,6 @@ pub trait ParameterSource {
 }
 
 impl ParameterLayout {
-    /// Returns an empty layout.
     pub fn new(limits: &Limits, arithmetic: Arithmetic) -> Self {
         Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic, q8: HashSet::new() }
     }
@@ -87,7 +81,6 @@ impl ParameterLayout {
         Self { q8, ..self }
     }
 
-    /// Returns the attention kernel.
     pub fn attention(&self) -> AttentionKernel {
         match self.arithmetic {
             Arithmetic { attention: Some(units), .. } => AttentionKernel::Matrix(units),
@@ -95,23 +88,19 @@ impl ParameterLayout {
         }
     }
 
-    /// Returns the nearest-row kernel.
     pub fn nearest(&self) -> NearestKernel {
         self.arithmetic.nearest.map_or(NearestKernel::Lanes, NearestKernel::Matrix)
     }
 
-    /// Names and shapes, in order.
     pub fn names_and_shapes(self) -> Vec<(String, Vec<usize>)> {
         self.declared.into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
     }
 
-    /// Declares a host parameter.
     pub fn host(&mut self, name: &str, shape: &[usize]) -> HostParameter {
         self.declared.push(Declared { name: name.into(), shape: shape.into(), place: Place::Host });
         HostParameter(self.declared.len() - 1)
     }
 
-    /// Declares an f32 parameter.
     pub fn vector(&mut self, name: &str, shape: &[usize]) -> Tensor {
         self.add::<f32>(name, shape, shape.iter().product(), Packing::Vector)
     }
@@ -126,27 +115,27 @@ impl ParameterLayout {
         self.matrix(name, kernel, columns, false, self.arithmetic.without_integers())
     }
 
-    /// Declares a block's linear layer, 8-bit if available.
+    /// 8-bit if available.
     pub fn block_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic)
     }
 
-    /// Declares a linear layer, always f32.
+    /// Always f32.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic.exact())
     }
 
-    /// Declares a convolution, always f32.
+    /// Always f32.
     pub fn exact_convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.exact())
     }
 
-    /// Declares a layer's f32 backward pass, from `[rows, columns]` to `[rows, inner]`.
+    /// Backward pass in f32, from `[rows, columns]` to `[rows, inner]`.
     pub fn transposed_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.transposed(name, &[columns, inner], 1)
     }
 
-    /// Declares a convolution's backward pass, with the kernel flipped.
+    /// Backward pass, with the kernel flipped.
     pub fn transposed_convolution(&mut self, name: &str, sides: [usize; 2], inputs: usize, outputs: usize) -> Linear {
         self.transposed(name, &[outputs, sides[0], sides[1], inputs], sides[0] * sides[1])
     }
@@ -155,8 +144,8 @@ impl ParameterLayout {
         self.reordered(name, shape, [taps * shape[0], shape[shape.len() - 1]], Order::Transposed { taps })
     }
 
-    /// Declares an f32 convolution: `NAME.weight` `[outputs, inputs, side, side]`, optionally
-    /// `NAME.bias`. Input rows are `[side, side, padded inputs]`.
+    /// f32, `NAME.weight` `[outputs, inputs, side, side]`, optionally `NAME.bias`. Input rows are
+    /// `[side, side, padded inputs]`.
     pub fn planar_convolution(
         &mut self,
         name: &str,
@@ -171,8 +160,8 @@ impl ParameterLayout {
         if biased { Linear { bias: self.vector(&format!("{name}.bias"), &[outputs]), ..layer } } else { layer }
     }
 
-    /// Declares a non-overlapping transposed convolution, `NAME.weight` `[inputs, outputs, side,
-    /// side]`, as an f32 layer to `[side, side, outputs]`.
+    /// Non-overlapping transposed convolution, `NAME.weight` `[inputs, outputs, side, side]`, as an
+    /// f32 layer to `[side, side, outputs]`.
     pub fn spread_convolution(&mut self, name: &str, [inputs, outputs]: [usize; 2], side: usize) -> Linear {
         let taps = side * side;
         self.reordered(name, &[inputs, outputs, side, side], [inputs, taps * outputs], Order::Spread { taps })
@@ -193,12 +182,11 @@ impl ParameterLayout {
         }
     }
 
-    /// Declares a block's layer with output [gate | value].
+    /// Output [gate | value].
     pub fn gated_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, true, self.arithmetic)
     }
 
-    /// Declares `NAME.weight` and `NAME.bias` of a layer norm.
     pub fn norm(&mut self, name: &str, width: usize, eps: f32) -> Norm {
         Norm {
             weight: self.vector(&format!("{name}.weight"), &[width]),
@@ -208,12 +196,10 @@ impl ParameterLayout {
         }
     }
 
-    /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.layout.bytes()
     }
 
-    /// Allocates and loads the parameters.
     pub fn load(
         &self,
         device: &Device,

@@ -17,15 +17,12 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// Largest group side.
     pub const MAX_SIDE: usize = 4;
 
     pub(crate) fn of(side: usize, grid: [usize; 2], leading: usize) -> Option<Self> {
         (side > 1).then_some(Self { side, grid, leading })
     }
 
-    /// Validates a group side.
-    ///
     /// # Errors
     /// [`Error::Argument`] outside 1..=[`Pool::MAX_SIDE`].
     pub fn check(side: usize) -> Result<()> {
@@ -36,12 +33,10 @@ impl Pool {
         }
     }
 
-    /// Tokens per view.
     pub fn tokens(&self) -> usize {
         self.leading + self.grid.iter().product::<usize>()
     }
 
-    /// Keys per view.
     pub fn keys(&self) -> usize {
         self.leading + self.grid.iter().map(|side| side.div_ceil(self.side)).product::<usize>()
     }

@@ -8,9 +8,7 @@ const GROUP: usize = Q8_GROUP as usize;
 /// Integers with a scale per [`Q8_GROUP`], exact in f32.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Q8 {
-    /// Integers, -128 to 127.
     pub integers: Vec<i8>,
-    /// Scale of each group.
     pub scales: Vec<f16>,
 }
 
@@ -18,10 +16,8 @@ impl Q8 {
     /// Nonzero scales that keep values normal in f16.
     pub const SCALES: RangeInclusive<f32> = 1.0 / 16384.0..=511.0;
 
-    /// Values per group.
     pub const GROUP: usize = GROUP;
 
-    /// Number of scales.
     pub fn scales_of(values: usize) -> usize {
         values / GROUP
     }
@@ -46,7 +42,7 @@ impl Q8 {
         scales.iter().all(|scale| scale.to_f32() <= *Self::SCALES.end()).then_some(Self { integers, scales })
     }
 
-    /// Writes dequantized values.
+    /// Dequantizes.
     ///
     /// # Panics
     /// If `out` has another length.

@@ -1,5 +1,3 @@
-//! Row tensors and their splitting at the binding limit.
-
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::ops,
@@ -9,55 +7,42 @@ use std::ops::Range;
 /// Device rows, `[count, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows {
-    /// Values.
     pub tensor: Tensor,
-    /// Number of rows.
     pub count: usize,
     /// Values per row.
     pub width: usize,
-    /// Type of a value.
     pub element: Element,
 }
 
-/// A range of columns.
 #[derive(Clone, Copy, Debug)]
 pub struct Columns {
-    /// Whole rows.
     pub of: Rows,
-    /// First column.
     pub first: usize,
-    /// Number of columns.
     pub width: usize,
 }
 
 impl Rows {
-    /// Wraps f32 rows.
     pub fn new(tensor: Tensor, count: usize, width: usize) -> Self {
         Self { tensor, count, width, element: Element::F32 }
     }
 
-    /// Allocates scratch memory.
     pub fn scratch(rec: &mut Recorder, name: &str, count: usize, width: usize, element: Element) -> Self {
         Self { tensor: rec.tensor_of(element, name, count * width), count, width, element }
     }
 
-    /// Returns a range of rows.
     pub fn part(&self, rows: Range<usize>) -> Self {
         let tensor = self.tensor.slice_of(self.element, rows.start * self.width, rows.len() * self.width);
         Self { tensor, count: rows.len(), ..*self }
     }
 
-    /// Returns columns from `first`.
     pub fn columns(&self, first: usize, width: usize) -> Columns {
         Columns { of: *self, first, width }
     }
 
-    /// Number of values.
     pub fn values(&self) -> usize {
         self.count * self.width
     }
 
-    /// Bytes per row.
     pub fn row_bytes(&self) -> usize {
         self.element.bytes() * self.width
     }
@@ -71,7 +56,7 @@ impl From<Rows> for Columns {
 
 pub(super) const SLICE: usize = 256;
 
-/// Scratch budget: fills any device, small next to the activations.
+/// Fills any device, small next to the activations.
 pub(super) const SCRATCH_BYTES: u64 = 256 << 20;
 
 /// Rows between aligned slices, a power of two.
@@ -79,7 +64,7 @@ pub(super) fn aligned_rows(bytes: usize) -> usize {
     SLICE >> bytes.trailing_zeros().min(SLICE.trailing_zeros())
 }
 
-/// Splits rows so that every tensor's part is aligned and fits a binding and the budget.
+/// Every tensor's part is aligned and fits a binding and the budget.
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl Iterator<Item = Range<usize>> + use<> {
     let bytes = rec.limits().max_binding_bytes.min(SCRATCH_BYTES) as usize;
     let widest = widths.iter().copied().fold(1, usize::max);
@@ -88,7 +73,6 @@ pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl 
     (0..rows).step_by(step).map(move |first| first..rows.min(first + step))
 }
 
-/// Adds `other` to `target`, both f32.
 pub fn add(rec: &mut Recorder, target: Rows, other: Rows) {
     for part in row_chunks(rec, target.values(), &[size_of::<f32>()]) {
         let [left, right] = [target, other].map(|rows| rows.tensor.slice::<f32>(part.start, part.len()));
@@ -114,7 +98,7 @@ pub fn gather_rows(rec: &mut Recorder, source: Rows, rows_from_out: Tensor, coun
     out
 }
 
-/// Quantizes f16 rows to 8 bits and `[rows]` f32 scales.
+/// From f16 to 8 bits and `[rows]` f32 scales.
 pub fn quantize_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     let Rows { count, width, .. } = source;
     let out = Rows::scratch(rec, "quantized", count, width, Element::I8);
@@ -124,7 +108,7 @@ pub fn quantize_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     (out, scales)
 }
 
-/// Writes f32 rows into columns of `out`.
+/// Writes f32 columns of `out` from `column`.
 pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize) {
     let kernel = ops::PlaceColumns {
         source: source.tensor,
@@ -138,7 +122,7 @@ pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize)
     rec.dispatch(kernel, source.values());
 }
 
-/// Concatenates f32 columns as type `output`.
+/// Concatenates f32 columns.
 pub fn join_columns(rec: &mut Recorder, [left, right]: [Rows; 2], output: Element) -> Rows {
     let out = Rows::scratch(rec, "joined", left.count, left.width + right.width, output);
     for part in row_chunks(rec, out.count, &[left, right, out].map(|rows| rows.row_bytes())) {

@@ -1,4 +1,4 @@
-//! Prefix sums in two dispatches for any length, without waiting workgroups.
+//! Prefix sums in two dispatches, without waiting workgroups.
 
 use crate::{
     gpu::{Recorder, Tensor},

@@ -58,7 +58,6 @@ pub fn key_starts(rec: &mut Recorder, keys: Tensor, item_count: Tensor, key_coun
     starts
 }
 
-/// Bits of keys below `count`.
 pub fn key_bits(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }

@@ -8,13 +8,10 @@ use std::fmt;
 pub struct Tiles([Option<u8>; Tiles::CLASSES]);
 
 impl Tiles {
-    /// Number of size classes.
     pub const CLASSES: usize = 7;
 
-    /// The default rule.
     pub const BY_RULE: Self = Self([None; Self::CLASSES]);
 
-    /// Selects one candidate.
     pub fn always(index: usize) -> Self {
         Self([Some(index as u8); Self::CLASSES])
     }
@@ -56,7 +53,6 @@ pub struct Tile {
     pub k: u32,
 }
 
-/// Subgroups; rows and columns of each.
 type Layout = ([u32; 2], [u32; 2]);
 
 const BUSY: usize = 256;
@@ -79,7 +75,7 @@ impl Tile {
     /// Head channels in attention tuning, as in every DA3 network.
     pub const TUNED_CHANNELS: usize = 64;
 
-    /// Candidates of ops/linear_matrix: two defaults, larger first.
+    /// Candidates: two defaults, larger first.
     pub fn linear(limits: &Limits, units: Units) -> Vec<Self> {
         // With bytes per shared memory row.
         const GPU: &[(Layout, u32)] = &[
@@ -107,7 +103,7 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of ops/attention_matrix, 16-query defaults first, larger first.
+    /// Candidates, 16-query defaults first, larger first.
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
         let shape = units.shape;
         let queries: &[u32] = if limits.cpu { &[8] } else { &[16, 32] };
@@ -126,7 +122,7 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of cluster/nearest_matrix, larger first.
+    /// Candidates, larger first.
     pub fn nearest(limits: &Limits, units: Units) -> Vec<Self> {
         const GPU: &[Layout] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
         const CPU: &[Layout] = &[([2, 2], [16, 8])];
@@ -148,7 +144,6 @@ impl Tile {
         Self { subgroups, repeats: [rows.div_ceil(units.shape.m), columns.div_ceil(units.shape.n)], k }
     }
 
-    /// Workgroup rows and columns.
     pub fn sides(&self, units: Units) -> [usize; 2] {
         let matrix = [units.shape.m, units.shape.n];
         [0, 1].map(|axis| (self.subgroups[axis] * self.repeats[axis] * matrix[axis]) as usize)

@@ -1,5 +1,3 @@
-//! Shapes of kernels/shared/uniform.glsl.
-
 use crate::{gpu::Limits, kernels::limits::PANEL_COLUMNS};
 
 /// Rows per workgroup and vectors per lane, for a CPU's 16 registers.

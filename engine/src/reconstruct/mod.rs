@@ -41,7 +41,7 @@ pub struct Reconstruction {
     pub patches: Patches,
     /// Time per stage.
     pub times: StageTimes,
-    /// Commands, bytes and operations per kernel.
+    /// Work per kernel.
     pub outline: Profile,
     /// Skipped stages.
     pub skipped_passes: Vec<SkippedPass>,
@@ -58,9 +58,9 @@ impl<'a> From<&'a Reconstruction> for SceneSource<'a> {
 /// Options of [`Model::load_with`].
 #[derive(Clone, Debug, Default)]
 pub struct ModelOptions {
-    /// Precision of matrix products. `None`: the fastest that the device computes correctly.
+    /// Precision of matrix products; by default the fastest that the device computes correctly.
     pub precision: Option<Precision>,
-    /// Architecture of a checkpoint that does not name its own, see [`Checkpoint::open`].
+    /// Architecture of a checkpoint that does not name its own.
     pub variant: Option<String>,
 }
 
@@ -109,7 +109,7 @@ impl Reconstruction {
 }
 
 impl Model {
-    /// Loads weights: `builtin`, a checkpoint's path, or `seeded:VARIANT` for random ones.
+    /// Loads `builtin`, a checkpoint's path, or `seeded:VARIANT` for random weights.
     ///
     /// # Errors
     /// As [`Checkpoint::open`]; [`Error::Memory`].
@@ -117,7 +117,7 @@ impl Model {
         Self::load_with(device, weights, &ModelOptions::default(), |_| ControlFlow::Continue(()))
     }
 
-    /// Loads weights as [`Model::load`], with options and progress from 0 to 1.
+    /// As [`Model::load`], with options and progress from 0 to 1.
     ///
     /// # Errors
     /// Those of [`Model::load`], and [`Error::Argument`] for an unsupported precision.
@@ -160,7 +160,7 @@ impl Model {
         self.network.weight_bytes()
     }
 
-    /// Side of the square images of its training, in pixels.
+    /// Side of the square images of its training.
     pub fn image_size(&self) -> u32 {
         self.image_size
     }
@@ -175,7 +175,7 @@ impl Model {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, a multiple of the patch size, with their
+    /// Reconstructs a scene from images of one size, a multiple of the patch size, and their
     /// cameras.
     pub fn reconstruct_views(
         &self,

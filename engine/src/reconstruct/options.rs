@@ -11,7 +11,7 @@ use crate::{
 /// Maximum views per reconstruction.
 pub const MAX_VIEWS: usize = 192;
 
-/// Maximum patches of all views, for 32-bit indices.
+/// Maximum patches, for 32-bit indices.
 pub const MAX_PATCHES: usize = 1 << 20;
 
 const MAX_ROUNDS: usize = 100;
@@ -50,20 +50,19 @@ pub struct ReconstructOptions {
     pub ratio: Ratio,
     /// Token selection.
     pub token_selection: TokenSelection,
-    /// Known cameras: of the whole photos, or of the views for [`Model::reconstruct_views`].
-    ///
-    /// [`Model::reconstruct_views`]: super::Model::reconstruct_views
+    /// Known cameras: of the whole photos, or of the views for
+    /// [`Model::reconstruct_views`](super::Model::reconstruct_views).
     pub cameras: Option<Vec<Camera>>,
-    /// Scene scale: the length, in camera and scene units, that the network sees as 1. Training
-    /// scenes have a median distance of about 1 from the first camera. `None`: estimated from the
-    /// cameras and the capture, 1 without cameras.
+    /// Length, in camera and scene units, that the network sees as 1. Training scenes have a median
+    /// distance of about 1 from the first camera. By default estimated from the cameras and the
+    /// capture; 1 without cameras.
     pub scene_scale: Option<f64>,
-    /// Capture whose points and cameras give the scene scale.
+    /// Capture for the default scene scale.
     pub capture: Option<Capture>,
-    /// Coordinate frame of the scene. `None`: that of the cameras, if known.
+    /// Coordinate frame, by default the cameras' world if known.
     pub world: Option<SceneFrame>,
-    /// Width and height of the network's input, multiples of the patch size. Photos are cropped to
-    /// its shape. `None`: the trained size.
+    /// Width and height of the network's input, multiples of the patch size, by default the trained
+    /// size. Photos are cropped to its shape.
     pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,
@@ -93,7 +92,7 @@ impl ReconstructOptions {
 /// Coordinate frame of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SceneFrame {
-    /// Camera frame of the first photo: x right, y down, z forward.
+    /// Camera frame of the first photo.
     FirstCamera,
     /// World of the known cameras.
     InputCameras,
@@ -142,7 +141,6 @@ impl Shape {
     /// Sets [`ReconstructOptions::kv_pool`].
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] for an invalid side.
     pub fn pooled(self, pool: usize) -> Result<Self> {
         Pool::check(pool)?;

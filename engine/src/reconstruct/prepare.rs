@@ -11,7 +11,7 @@ use crate::{
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
-/// Fraction of a reconstruction's progress for the preparation of photos.
+/// Fraction of a reconstruction's progress.
 const PREPARATION: f64 = 0.1;
 
 /// Network views of photos, with options in their terms.
@@ -19,9 +19,9 @@ const PREPARATION: f64 = 0.1;
 pub struct Prepared {
     /// Images of one size, for [`Model::reconstruct_views`] and [`Model::features`].
     pub images: Vec<Image>,
-    /// Options with the views' cameras and the scene scale.
+    /// Options for the views.
     pub options: ReconstructOptions,
-    /// Placement of the scene, and of the views in their photos.
+    /// Relation to the photos.
     pub placement: Placement,
     /// Warning about an estimated scene scale.
     pub warning: Option<String>,
@@ -30,7 +30,7 @@ pub struct Prepared {
 /// Relation of a reconstruction to its photos.
 #[derive(Clone, Debug)]
 pub struct Placement {
-    /// Maps from each photo to its view.
+    /// Maps from photos to views.
     pub maps: Vec<PixelMap>,
     /// Pose of the first camera in the scene's world, unless that is its camera frame.
     pub pose: Option<Pose>,

@@ -26,7 +26,7 @@ pub fn auto_ratio(views: usize) -> f64 {
     (0.5 * (2.0 / views.max(1) as f64).sqrt()).min(1.0)
 }
 
-/// Returns evenly spread indices, bit-equal to PyTorch's f32 `linspace`, rounded half to even.
+/// Evenly spread indices, bit-equal to PyTorch's f32 `linspace`, rounded half to even.
 pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
     let last = (tokens - 1) as f32;
     let step = last / (count - 1).max(1) as f32;
@@ -44,7 +44,7 @@ pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
         .collect()
 }
 
-/// Returns distinct indices below `tokens`, ascending, reproducible by seed.
+/// Distinct indices below `tokens`, ascending, reproducible by seed.
 pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     // Selection sampling (Knuth, TAOCP 2, 3.4.2, algorithm S).
     let mut random = Random::new(seed);
@@ -86,7 +86,6 @@ pub fn record(
     chosen
 }
 
-/// Cluster means.
 #[derive(Clone, Copy, Debug)]
 pub struct Means {
     points: Tensor,
@@ -94,7 +93,6 @@ pub struct Means {
 }
 
 impl Means {
-    /// For `count` points.
     pub fn new(rec: &mut Recorder, count: usize) -> Self {
         let points = rec.tensor::<u32>("points", count);
         rec.fill(points, 1);

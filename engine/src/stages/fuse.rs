@@ -10,14 +10,12 @@ use crate::{
 
 const EPS: f32 = 1e-5;
 
-/// Fusion parameters, per layer.
 pub struct Fuse {
     cross: Vec<CrossBlock>,
     own: Vec<Block>,
 }
 
 impl Fuse {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.fusion_heads, a.width);
         let (layers, ffn) = (0..a.out_layers.len(), (Ffn::Gelu, a.fusion_hidden));
@@ -28,7 +26,7 @@ impl Fuse {
         Self { cross, own }
     }
 
-    /// Fuses `layers`, deepest first, for the `count` tokens `chosen` or all.
+    /// `layers` are deepest first; fuses `count` tokens `chosen`, or all.
     pub fn record(
         &self,
         rec: &mut Recorder,

@@ -12,7 +12,6 @@ use crate::{
 /// Pixels per invocation: an 11-tap filter loads (RUN + 10) / RUN values for each.
 const RUN: usize = 8;
 
-/// Mean image loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loss {
     /// |frame - target|.
@@ -25,12 +24,11 @@ pub enum Loss {
     L1Dssim,
 }
 
-/// Losses and gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct LossTensors {
-    /// `[cameras]` f32 losses.
+    /// `[cameras]` f32.
     pub value: Tensor,
-    /// `[cameras, height, width, channels]` f32 gradient.
+    /// `[cameras, height, width, channels]` f32.
     pub d_frames: Tensor,
 }
 

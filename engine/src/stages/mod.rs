@@ -1,5 +1,3 @@
-//! Stages of the networks, the renderer and the losses.
-
 mod architecture;
 pub mod backbone;
 pub mod cluster;
@@ -27,97 +25,80 @@ use fuse::Fuse;
 use gaussians::Gaussians;
 use heads::DepthHeads;
 
-/// The stages that have parameters.
 pub struct Stages {
-    /// From pixels to tokens.
     pub backbone: Da3,
-    /// From tokens to scene tokens.
     pub fuse: Fuse,
-    /// From scene tokens to Gaussians.
     pub gaussians: Gaussians,
 }
 
 impl Stages {
-    /// Declares the parameters, named as in the reference's `state_dict`.
+    /// Names parameters as the reference's `state_dict`.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self { backbone: Da3::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
     }
 }
 
-/// The stages of a depth network.
 pub struct DepthStages {
-    /// From pixels to features.
     pub backbone: DepthBackbone,
-    /// From features to depth, rays and cameras.
     pub heads: DepthHeads,
 }
 
 impl DepthStages {
-    /// Declares the parameters, by the names in released files.
+    /// Names parameters as released files.
     pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
         Self { backbone: DepthBackbone::new(p, &a.backbone), heads: DepthHeads::new(p, a) }
     }
 }
 
-/// The tensors that the heads read, f32.
 #[derive(Clone, Debug)]
 pub struct DepthFeatures {
-    /// Four layers of patch features of all views, shallowest first: `[local | norm(global)]`, or
-    /// `norm(x)` for single-view networks.
-    pub layers: Vec<Rows>,
-    /// Camera tokens `[local | global]` after the last out layer, a row per view; `None` for
+    /// Patch features of all views, shallowest first: `[local | norm(global)]`, or `norm(x)` for
     /// single-view networks.
+    pub layers: Vec<Rows>,
+    /// Camera tokens `[local | global]` after the last out layer, a row per view, for multi-view
+    /// networks.
     pub cameras: Option<Rows>,
 }
 
 /// Reference view, if no cameras are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
-    /// The view with this index.
+    /// By index.
     View(usize),
-    /// The network's choice: the view nearest to the mean. Among views within a thousandth of the
-    /// best, the first, so that rounding does not decide.
+    /// The view nearest to the mean. Among views within a thousandth of the best, the first, so
+    /// that rounding does not decide.
     Balanced,
 }
 
 /// `views` pictures of `rows` x `columns` patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewGrid {
-    /// Pictures.
     pub views: usize,
-    /// Patches from top to bottom.
     pub rows: usize,
-    /// Patches from left to right.
     pub columns: usize,
-    /// Side of a patch in pixels.
+    /// In pixels.
     pub patch_size: usize,
 }
 
 impl ViewGrid {
-    /// Patches of a view.
     pub fn patches(&self) -> usize {
         self.rows * self.columns
     }
 
-    /// Patches of all views.
     pub fn tokens(&self) -> usize {
         self.views * self.patches()
     }
 
-    /// Values of all pictures, three channels each.
+    /// Values of all pictures, with three channels.
     pub fn values(&self) -> usize {
         3 * self.tokens() * self.patch_size * self.patch_size
     }
 }
 
-/// Pictures of one plan, of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameShape {
-    /// Pictures.
     pub cameras: usize,
-    /// Pixels a row.
     pub width: u32,
-    /// Rows.
     pub height: u32,
 }
 
@@ -134,29 +115,22 @@ pub struct SceneTensors {
     pub opacities: Tensor,
     /// `[len, (sh_degree + 1)^2, 3]`.
     pub sh_coeffs: Tensor,
-    /// Gaussians.
     pub len: usize,
     /// Degree of the coefficients, without zero bands above.
     pub sh_degree: u32,
 }
 
-/// Gradients of the stored values, such as unnormalized quaternions.
+/// Gradients of the stored values, such as unnormalized quaternions, in their shapes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneGradients {
-    /// `[len, 3]`.
     pub means: Tensor,
-    /// `[len, 3]`.
     pub scales: Tensor,
-    /// `[len, 4]`.
     pub quats: Tensor,
-    /// `[len]`.
     pub opacities: Tensor,
-    /// `[len, (sh_degree + 1)^2, 3]`.
     pub sh_coeffs: Tensor,
 }
 
 impl SceneTensors {
-    /// Tensors of `len` Gaussians that the host reads.
     pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
         let tensors = Self {
             means: rec.tensor::<[f32; 3]>("means", len),
@@ -172,7 +146,6 @@ impl SceneTensors {
         tensors
     }
 
-    /// Lays out resident tensors of `len` Gaussians.
     pub fn lay_out(layout: &mut ResidentLayout, len: usize, sh_degree: u32) -> Self {
         Self {
             means: layout.add::<[f32; 3]>(len),
@@ -185,7 +158,6 @@ impl SceneTensors {
         }
     }
 
-    /// Reads the Gaussians.
     pub fn read(&self, memory: &Resident) -> Result<Scene> {
         Ok(Scene {
             means: memory.read(self.means)?,

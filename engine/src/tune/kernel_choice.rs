@@ -1,5 +1,3 @@
-//! Arithmetic without kernels that failed their self-test.
-
 use super::{SelfTest, Tuning};
 use crate::{
     Error, Result,
@@ -11,9 +9,7 @@ use std::ops::ControlFlow;
 /// A precision's arithmetic on a device.
 #[derive(Clone, Debug)]
 pub struct KernelChoice {
-    /// Precision.
     pub precision: Precision,
-    /// Arithmetic.
     pub arithmetic: Arithmetic,
     /// Failed kernels, for the user.
     pub warnings: Vec<String>,

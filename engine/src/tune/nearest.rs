@@ -32,7 +32,7 @@ impl Operation for NearestSearches {
         vec![(kernel_name("cluster/nearest", on_units, factor), Element::F32)]
     }
 
-    /// Compares nearest distances; the low halves must separate near ties.
+    /// The low halves must separate near ties.
     fn deviation(&self, device: &Device, candidate: Candidate, _: Element) -> Result<Option<f64>> {
         const WIDTH: usize = 76;
         let Candidate::Units(units, tile) = candidate else { return Ok(Some(0.0)) };

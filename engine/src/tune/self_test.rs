@@ -27,7 +27,6 @@ struct Group {
 }
 
 impl SelfTest {
-    /// Tests every fast kernel.
     pub fn run(device: &Device) -> Result<Self> {
         let mut test = Self::default();
         test.run_groups(device, Group::all(device.limits()), |_, _| ControlFlow::Continue(()), |_| ())?;
@@ -37,7 +36,6 @@ impl SelfTest {
     /// Returns cached or new results for `wanted`.
     ///
     /// # Errors
-    ///
     /// Other failures fail their kernel.
     pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");

@@ -11,23 +11,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Measured times of a device.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Tuning {
-    /// Times by kernel and size.
     pub measured: Vec<Measured>,
     /// Wrong or rejected tiles: kernel, factor type, name.
     pub unusable: Vec<String>,
 }
 
-/// Tile times of a kernel at a size.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Measured {
-    /// Operation: `linear`, `attention` or `nearest`.
+    /// `linear`, `attention` or `nearest`.
     pub kernel: String,
-    /// Factor type.
     pub factor: Element,
-    /// Result values.
     pub values: usize,
     /// Name and milliseconds.
     pub tiles: Vec<(String, f64)>,
@@ -43,20 +38,16 @@ impl Measured {
         self.kernel == operation.name() && self.factor == factor
     }
 
-    /// Name of the fastest tile.
     pub fn best(&self) -> Option<&str> {
         self.tiles.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map(|(name, _)| name.as_str())
     }
 }
 
 impl Tuning {
-    /// Returns the cached times.
     pub fn known(device: &Device) -> Option<Self> {
         serde_json::from_slice(&fs::read(cache_file(device, "tuning")?).ok()?).ok()
     }
 
-    /// Stores the times.
-    ///
     /// # Errors
     /// [`Error::Argument`] without a cache folder, [`Error::Io`].
     pub fn keep(&self, device: &Device) -> Result<()> {
@@ -70,7 +61,6 @@ impl Tuning {
     /// Measures every usable tile, keeping earlier results on errors.
     ///
     /// # Errors
-    ///
     /// [`Error::DeviceLost`], which marks the tile unusable; [`Error::Cancelled`].
     pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let mut tiles = Vec::new();
@@ -116,7 +106,6 @@ impl Tuning {
         }
     }
 
-    /// Applies the fastest known tiles.
     pub fn applied(&self, mut arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
         for operation in OPERATIONS {
             for units in operation.chosen(&mut arithmetic).into_iter().flatten() {

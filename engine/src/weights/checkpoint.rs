@@ -10,7 +10,6 @@ use crate::ops::Arithmetic;
 use crate::types::preprocess::DEFAULT_SIZE;
 use crate::{Error, Result};
 
-/// Name of the library's own model.
 pub const BUILTIN: &str = "builtin";
 
 /// An [`Architecture`] with its tensors.
@@ -82,25 +81,23 @@ impl Checkpoint {
         Self::load(path.as_ref(), |contents, path| inference::architecture(contents, path, variant))
     }
 
-    /// Opens a file's contents, called `name` in messages.
+    /// `name` is for messages.
     pub fn from_bytes(name: &str, bytes: impl Into<Cow<'static, [u8]>>, variant: Option<&str>) -> Result<Self> {
         Self::from_file(Path::new(name), Bytes::Held(bytes.into()), |contents, path| {
             inference::architecture(contents, path, variant)
         })
     }
 
-    /// Opens a file with a known architecture.
     pub fn open_architecture(path: impl AsRef<Path>, architecture: Architecture) -> Result<Self> {
         architecture.validate()?;
         Self::load(path.as_ref(), |_, _| Ok((architecture, None)))
     }
 
-    /// Generates reproducible weights; `key` defaults to the variant.
+    /// Reproducible; `key` defaults to the variant.
     pub fn seeded(variant: &str, key: Option<&str>) -> Result<Self> {
         Self::seeded_architecture(Architecture::named(variant)?, key.unwrap_or(variant))
     }
 
-    /// Generates reproducible weights.
     pub fn seeded_architecture(architecture: Architecture, key: &str) -> Result<Self> {
         architecture.validate()?;
         let stream = if key == architecture.name { String::new() } else { format!(":{key}") };
@@ -129,7 +126,6 @@ impl Checkpoint {
         Ok(Self { architecture, values, image_size, notes })
     }
 
-    /// Architecture of the weights.
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
     }
@@ -139,8 +135,6 @@ impl Checkpoint {
         self.image_size
     }
 
-    /// Checks that an arithmetic supports these weights.
-    ///
     /// # Errors
     /// [`Error::Argument`] for 8-bit arithmetic with [`Q8`] weights.
     pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
@@ -151,7 +145,7 @@ impl Checkpoint {
         Err(Error::argument("precision", found, "fp32, fp16 or bf16; int8 rounds weights of f32, f16 or bf16"))
     }
 
-    /// Notes for the user about rounding and assumptions.
+    /// Rounding and assumptions, for the user.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }

@@ -48,7 +48,6 @@ pub(super) fn is_image_size(side: u32) -> bool {
 }
 
 impl Contents {
-    /// Length of a tensor's axis.
     pub fn axis(&self, name: &str, axis: usize) -> Option<usize> {
         self.tensors.get(name)?.shape.get(axis).copied()
     }

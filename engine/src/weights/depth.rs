@@ -27,7 +27,7 @@ impl Deref for DepthCheckpoint {
 }
 
 impl DepthCheckpoint {
-    /// Whether a text for [`DepthCheckpoint::parse`] denotes a depth network.
+    /// Whether [`DepthCheckpoint::parse`] would find a depth network.
     pub fn is_meant(text: &str) -> bool {
         match text.strip_prefix("seeded:") {
             Some(name) => DEPTH_MODELS.contains(&name),
@@ -60,9 +60,8 @@ impl DepthCheckpoint {
     /// Opens a released `model.safetensors` or a saved file, optionally with the Gaussian head.
     ///
     /// # Errors
-    ///
-    /// [`Error::Io`] and [`Error::Format`]; [`Error::Argument`] for an unknown network or without
-    /// Gaussian head; [`Error::Weights`] lists missing, unexpected and misshapen tensors.
+    /// As [`Checkpoint::open`](super::Checkpoint::open); [`Error::Argument`] without the Gaussian
+    /// head.
     pub fn open(path: impl AsRef<Path>, gaussians: bool) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
@@ -75,7 +74,6 @@ impl DepthCheckpoint {
         Self::of(path, file, contents, architecture)
     }
 
-    /// Opens a file with a known architecture.
     pub fn open_architecture(path: impl AsRef<Path>, architecture: DepthArchitecture) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
@@ -83,7 +81,6 @@ impl DepthCheckpoint {
         Self::of(path, file, contents, architecture)
     }
 
-    /// Generates reproducible weights.
     pub fn seeded(architecture: DepthArchitecture, key: &str) -> Result<Self> {
         architecture.validate()?;
         let provenance = format!("seeded:{key}");
@@ -101,7 +98,6 @@ impl DepthCheckpoint {
         Ok(Self { architecture, values, of_gaussians })
     }
 
-    /// Architecture of the weights.
     pub fn architecture(&self) -> &DepthArchitecture {
         &self.architecture
     }

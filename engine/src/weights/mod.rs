@@ -31,7 +31,7 @@ pub use crate::{
     stages::{Architecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS},
 };
 
-/// Converts a checkpoint to safetensors, see [`Checkpoint::open`] and [`Checkpoint::save`].
+/// Converts a checkpoint to safetensors.
 pub fn convert(input: impl AsRef<Path>, output: impl AsRef<Path>, dtype: Dtype, variant: Option<&str>) -> Result<()> {
     Checkpoint::open(input, variant)?.save(output, dtype)
 }

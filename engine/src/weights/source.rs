@@ -1,11 +1,8 @@
-//! Sources of parameter values.
-
 use super::{Dtype, safetensors::too_small, seeded, tensor::Stored};
 use crate::{Error, Result, ops::Q8, types::open_file};
 use memmap2::Mmap;
 use std::{borrow::Cow, collections::BTreeMap, ops::Deref, path::Path};
 
-/// Contents of a file.
 #[derive(Debug)]
 pub(super) enum Bytes {
     Mapped(Mmap),

@@ -8,11 +8,8 @@ use crate::{Error, Result, ops::Q8};
 /// Storage type, little-endian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dtype {
-    /// IEEE single precision.
     F32,
-    /// IEEE half precision.
     F16,
-    /// bfloat16.
     Bf16,
     /// [`Q8`] for linear weights in whole groups; f16 for other matrices, f32 for vectors.
     Q8,

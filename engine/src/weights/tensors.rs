@@ -12,9 +12,7 @@ impl Tensors {
     /// Opens a file with exactly these tensors.
     ///
     /// # Errors
-    ///
-    /// [`Error::Io`] and [`Error::Format`]; [`Error::Weights`] lists missing, unexpected and
-    /// misshapen tensors.
+    /// As [`Checkpoint::open`](super::Checkpoint::open).
     pub fn open(path: &Path, network: &str, parameters: &[(String, Vec<usize>)]) -> Result<Self> {
         let mut file = Vec::new();
         open_file(path)?.read_to_end(&mut file).map_err(|error| Error::io(path, error))?;

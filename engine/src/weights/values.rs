@@ -33,12 +33,10 @@ impl Values {
         Ok(Self { network: network.into(), parameters, source, provenance: path.display().to_string() })
     }
 
-    /// Name and shape per tensor.
     pub fn parameters(&self) -> &[(String, Vec<usize>)] {
         &self.parameters
     }
 
-    /// Tensor names.
     pub fn tensor_names(&self) -> impl Iterator<Item = &str> {
         self.parameters.iter().map(|(name, _)| name.as_str())
     }
@@ -59,24 +57,20 @@ impl Values {
     /// Reads a matrix of whole groups in 8 bits.
     ///
     /// # Errors
-    ///
     /// As [`Values::read_f32`], and for values or scales out of range.
     pub fn read_q8(&self, name: &str) -> Result<Q8> {
         self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
     }
 
-    /// Names of [`Q8`] tensors.
     pub fn q8_names(&self) -> impl Iterator<Item = &str> {
         let is_q8 = |i: usize| matches!(&self.source, Source::Stored { tensors, .. } if tensors[i].is_q8());
         self.tensor_names().enumerate().filter(move |(i, _)| is_q8(*i)).map(|(_, name)| name)
     }
 
-    /// Bytes per stored type.
     pub fn stored(&self) -> BTreeMap<&'static str, u64> {
         self.source.stored(&self.parameters)
     }
 
-    /// Stored bytes.
     pub fn bytes(&self) -> u64 {
         self.stored().values().sum()
     }
@@ -102,7 +96,7 @@ impl ParameterSource for Values {
     }
 }
 
-/// Returns the tensors of the parameters, which must be all.
+/// All parameters must have tensors.
 pub(super) fn matching(
     path: &Path,
     network: &str,

@@ -17,11 +17,11 @@ pub struct Options<'a> {
     pub heads: usize,
     /// Epsilon of `norm1` and `norm2`.
     pub eps: f64,
-    /// Sequences of equal length that attend within themselves.
+    /// Sequences that attend within themselves.
     pub sequences: usize,
-    /// Rotary positions (y, x) of one sequence's tokens.
+    /// Rotary positions (y, x) of a sequence's tokens.
     pub positions: Option<&'a [[f64; 2]]>,
-    /// Pooling of keys and values, for a single sequence.
+    /// Pooling of keys and values, for one sequence.
     pub pool: Option<Pool>,
 }
 
@@ -54,7 +54,7 @@ fn self_attention(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
     weights.linear("proj", &mixed)
 }
 
-/// Returns LayerNorm `name` over a head's channels, if present.
+/// Returns LayerNorm `name` of a head, if present.
 pub fn head_norm<'a>(weights: &Scope<'a>, name: &str) -> Option<(&'a [f32], &'a [f32], f64)> {
     let parameter = |kind| format!("{name}.{kind}");
     weights.has(&parameter("weight")).then(|| (weights.get(&parameter("weight")), weights.get(&parameter("bias")), EPS))

@@ -1,4 +1,4 @@
-//! Features and their preparation for fusion.
+//! Features for fusion.
 
 use super::average_halves::average_halves;
 use super::block::EPS;
@@ -6,9 +6,8 @@ use crate::model::Model;
 use crate::ops::add::add;
 use crate::ops::place_columns::{columns, join_columns};
 
-/// Returns `[local | normed]` per token, without camera tokens.
-///
-/// Inputs `[views, tokens, width]`, result `[views, tokens - 1, 2 width]`.
+/// Returns `[local | normed]` per token, without camera tokens. Inputs `[views, tokens, width]`,
+/// result `[views, tokens - 1, 2 width]`.
 pub fn feature(local: &[f64], normed: &[f64], width: usize, tokens: usize) -> Vec<f64> {
     let rows = local.chunks(width).zip(normed.chunks(width)).enumerate();
     let patches = rows.filter(|(row, _)| row % tokens != 0);

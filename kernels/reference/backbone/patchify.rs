@@ -4,11 +4,11 @@
 pub struct Images {
     /// `[views, 3, height, width]` in 0..1.
     pub values: Vec<f64>,
-    /// Number of views.
+    /// Views.
     pub views: usize,
-    /// Height in pixels.
+    /// Height.
     pub height: usize,
-    /// Width in pixels.
+    /// Width.
     pub width: usize,
 }
 
@@ -19,7 +19,7 @@ impl Images {
         Images { values, views: shape[0], height: shape[2], width: shape[3] }
     }
 
-    /// Returns rows and columns of patches.
+    /// Returns patch rows and columns.
     pub fn grid(&self, patch: usize) -> [usize; 2] {
         [self.height / patch, self.width / patch]
     }

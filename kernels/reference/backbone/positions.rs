@@ -1,7 +1,6 @@
 //! Position embedding on another grid.
 
 /// Resamples `embed [1 + side * side, width]`, class row first, to `[1 + rows * columns, width]`.
-///
 /// Bicubic (Keys 1981, A = -0.75), clamped, without antialiasing, scale `(patches + 0.1) / side`.
 /// An equal grid is copied.
 pub fn interpolate(embed: &[f64], width: usize, rows: usize, columns: usize) -> Vec<f64> {

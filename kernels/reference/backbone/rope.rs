@@ -2,9 +2,8 @@
 
 const BASE: f64 = 100.0;
 
-/// Rotates `x [tokens, heads, head_dim]` by `positions [tokens]` (y, x).
-///
-/// y rotates the first half of the channels, x the second, in pairs a quarter head apart.
+/// Rotates `x [tokens, heads, head_dim]` by `positions [tokens]` (y, x): y the first half of the
+/// channels, x the second, in pairs a quarter head apart.
 pub fn rope(x: &[f64], positions: &[[f64; 2]], head_dim: usize) -> Vec<f64> {
     let heads = x.len() / positions.len() / head_dim;
     let [half, quarter] = [head_dim / 2, head_dim / 4];

@@ -10,7 +10,7 @@ const ITERATIONS: usize = 5;
 pub struct Clusters {
     /// `[K, width]`, zero for empty clusters.
     pub centroids: Vec<f64>,
-    /// Cluster of each token per round, assigned before the centroids move.
+    /// Clusters per round, assigned before the centroids move.
     pub assignments: Vec<Vec<u32>>,
     /// Token nearest to each final centroid.
     pub nearest: Vec<u32>,

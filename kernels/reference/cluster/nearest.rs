@@ -35,7 +35,7 @@ fn two_nearest_of(point: &[f64], targets: &[f64]) -> [(u32, f64); 2] {
     best
 }
 
-/// Returns twice the error bound of kernels/cluster/nearest_matrix.comp, for rows of these lengths.
+/// Returns twice the error bound of kernels/cluster/nearest_matrix.comp for these lengths.
 pub fn error_of_products([point, target]: [f64; 2], width: usize) -> f64 {
     const CHUNK: usize = 64;
     const U: f64 = f32::EPSILON as f64 / 2.0;

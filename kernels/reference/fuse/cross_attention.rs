@@ -7,10 +7,9 @@ use crate::ops::attention::attention_to_means;
 use crate::ops::linear::layer_scale;
 use crate::ops::split_heads::{Part, Pool, split_heads};
 
-/// Computes the residual of `queries [n, width]` attending to `keys [m, width]`, pooled by `pool`.
-///
-/// `d1 = gamma1 * attention(norm_q(queries), norm_kv(keys))`,
-/// `d2 = gamma2 * mlp(norm2(queries + d1))`; returns `d1 + d2`.
+/// Computes the residual of `queries [n, width]` attending to `keys [m, width]`: `d1 = gamma1 *
+/// attention(norm_q(queries), norm_kv(keys))`, `d2 = gamma2 * mlp(norm2(queries + d1))`; returns
+/// `d1 + d2`.
 pub fn cross_attention(weights: &Scope, queries: &[f64], keys: &[f64], heads: usize, pool: Option<Pool>) -> Vec<f64> {
     let parts = weights.scope("attn");
     let width = parts.get("proj.bias").len();

@@ -1,8 +1,7 @@
 //! Matrix products.
 
-/// Sums `a b` over `iterations` and the matrices of `b [products, k, n]`.
-///
-/// Bits of `swaps`, modulo 32, exchange the matrices of `a [2, m, k]` after an iteration.
+/// Sums `a b` over `iterations` and the matrices of `b [products, k, n]`. Bits of `swaps`, modulo
+/// 32, exchange the matrices of `a [2, m, k]` after an iteration.
 pub fn products(a: &[f64], b: &[f64], [m, n, k]: [usize; 3], iterations: u32, swaps: u32) -> Vec<f64> {
     let (mut weights, mut current) = ([0.0; 2], 0);
     for i in 0..iterations {

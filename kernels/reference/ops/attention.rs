@@ -2,9 +2,8 @@
 
 use rayon::prelude::*;
 
-/// Computes `softmax(q k^T / sqrt(head_dim)) v` per head.
-///
-/// `q` and the result `[queries, heads, head_dim]`, `k` and `v [keys, heads, head_dim]`.
+/// Computes `softmax(q k^T / sqrt(head_dim)) v` per head. `q` and the result `[queries, heads,
+/// head_dim]`, `k` and `v [keys, heads, head_dim]`.
 pub fn attention(q: &[f64], k: &[f64], v: &[f64], heads: usize, head_dim: usize) -> Vec<f64> {
     let once = vec![1.0; k.len() / (heads * head_dim)];
     attention_to_means(q, [k, v], &once, heads, head_dim)

@@ -1,9 +1,7 @@
 //! Convolution inputs.
 
 /// Cuts an image `[height, width, channels]` into rows `[side, side, channels]`, one per output
-/// pixel.
-///
-/// `spread - 1` zeros separate pixels, `padding` surrounds them.
+/// pixel. `spread - 1` zeros separate pixels, `padding` surrounds them.
 pub fn im2col(
     picture: &[f64],
     [width, channels]: [usize; 2],

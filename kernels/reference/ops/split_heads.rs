@@ -4,7 +4,7 @@ use super::layer_norm::layer_norm;
 use super::place_columns::columns;
 use crate::backbone::rope::rope;
 
-/// One part of a projection and its processing.
+/// A part of a projection.
 #[derive(Clone, Copy)]
 pub struct Part<'a> {
     /// First column.
@@ -15,7 +15,7 @@ pub struct Part<'a> {
     pub head_dim: usize,
     /// Weight, bias and epsilon of the LayerNorm over a head's channels.
     pub norm: Option<(&'a [f32], &'a [f32], f64)>,
-    /// Rotary positions (y, x) of one sequence's tokens.
+    /// Rotary positions (y, x) of a sequence's tokens.
     pub positions: Option<&'a [[f64; 2]]>,
 }
 
@@ -36,14 +36,14 @@ pub fn split_heads(projection: &[f64], stride: usize, part: Part) -> Vec<f64> {
     }
 }
 
-/// Pooling of keys and values over groups of patches in each view.
+/// Pooling of keys and values over groups of a view's patches.
 #[derive(Clone, Copy, Debug)]
 pub struct Pool {
-    /// Side of a group in patches.
+    /// Group side in patches.
     pub side: usize,
     /// Rows and columns of patches.
     pub grid: [usize; 2],
-    /// Tokens before the patches, not pooled.
+    /// Unpooled leading tokens.
     pub leading: usize,
 }
 

@@ -1,5 +1,4 @@
-//! Gradients by central differences; only blending, which has thresholds, is differentiated by
-//! hand.
+//! Gradients by central differences; blending, which has thresholds, is differentiated by hand.
 
 use super::{
     project::{Camera, Gaussians, MIN_ALPHA, project},
@@ -8,7 +7,7 @@ use super::{
 };
 use glam::{DMat3, DVec3};
 
-/// Weights of a loss that is a weighted sum of outputs.
+/// Weights of outputs, whose sum is the loss.
 #[derive(Clone, Debug, Default)]
 pub struct Weights {
     /// `[images, H, W, 3]`.
@@ -19,7 +18,7 @@ pub struct Weights {
     pub depth: Vec<f64>,
 }
 
-/// A perturbation of Gaussians and cameras.
+/// Perturbation of Gaussians and cameras.
 #[derive(Clone, Debug)]
 pub struct Direction {
     /// Gaussians.
@@ -54,7 +53,7 @@ pub struct Drawing {
     pub background: [f64; 3],
 }
 
-/// Differentiates the weighted sum along a direction, by steps of `step`.
+/// Differentiates the weighted sum along a direction.
 pub fn along(
     gaussians: &Gaussians,
     cameras: &[Camera],
@@ -130,10 +129,8 @@ pub struct Ellipse {
 }
 
 /// Computes gradients of splats through one pixel, nearest first, for gradients `d` by RGB, alpha
-/// and depth.
-///
-/// Per splat: g (1, e, y, e e, e y, y y), RGB and depth. g is the gradient of ln alpha,
-/// e = dx - k dy and y = dy.
+/// and depth. Per splat: g (1, e, y, e e, e y, y y), RGB and depth, where g is the gradient of ln
+/// alpha, e = dx - k dy and y = dy.
 pub fn through_pixel(splats: &[Ellipse], [x, y]: [f64; 2], d: [f64; 5], background: [f64; 3]) -> Vec<[f64; 10]> {
     let mut left = 1.0;
     let mut seen = Vec::new();
@@ -189,10 +186,9 @@ pub struct OneGradient {
     pub camera: [f64; 10],
 }
 
-/// Computes gradients of a visible Gaussian and its camera, by fourth-order differences.
-///
-/// `pair` has the moments of [`through_pixel`], the gradient by the world offset from the camera
-/// through color, and that by depth.
+/// Computes gradients of a visible Gaussian and its camera, by fourth-order differences. `pair` has
+/// the moments of [`through_pixel`], the gradient by the world offset from the camera through
+/// color, and that by depth.
 pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: &[f64; 10]) -> OneGradient {
     let splat = |gaussian: &Gaussians, camera: &Camera| project(gaussian, camera, antialiased)[0].expect("it is seen");
     let [xx, xy, yy] = splat(gaussian, camera).conic;

@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::sh;
 
-/// Variance added to every ellipse, pixels^2.
+/// Added variance, pixels^2.
 const EPS_2D: f64 = 0.3;
 const NEAR: f64 = 0.01;
 const FAR: f64 = 1e10;
@@ -31,9 +31,9 @@ pub struct Gaussians {
 /// A pinhole camera, OpenCV axes, pixel centers at +0.5.
 #[derive(Clone, Copy, Debug)]
 pub struct Camera {
-    /// Rotation, world to camera.
+    /// World to camera.
     pub rotation: DMat3,
-    /// Translation, world to camera.
+    /// World to camera.
     pub translation: DVec3,
     /// fx, fy, cx, cy in pixels.
     pub intrinsics: [f64; 4],

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 
-/// Computes the color of `coeffs [K, 3]` seen along `direction`, any length: `max(0, 0.5 + sum)`.
+/// Computes the color of `coeffs [K, 3]` along `direction`, any length: `max(0, 0.5 + sum)`.
 pub fn color(coeffs: &[f64], direction: DVec3) -> [f64; 3] {
     let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
     let basis = basis(degree, direction.normalize());
@@ -14,8 +14,8 @@ pub fn color(coeffs: &[f64], direction: DVec3) -> [f64; 3] {
     })
 }
 
-/// Computes real spherical harmonics of unit `direction`, by band, then order, with the
-/// Condon-Shortley phase.
+/// Computes real spherical harmonics of unit `direction`, by band, then order, with Condon-Shortley
+/// phase.
 pub fn basis(degree: i32, direction: DVec3) -> Vec<f64> {
     let azimuth = direction.y.atan2(direction.x);
     let bands = (0..=degree).flat_map(|l| (-l..=l).map(move |m| (l, m)));

@@ -11,16 +11,15 @@ const REASON: &str = "computed in f64 and rounded to f32 once, which moves a val
 
 struct Problem(Vec<Camera>);
 
-/// Faults of `(t, q xyzw, fov)`.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     CameraToWorld,
     Conjugate,
     /// Quaternion as wxyz.
     RealFirst,
-    /// Angle from the trace, whose cosine cannot represent small angles.
+    /// The trace's cosine cannot represent small angles.
     AngleFromTrace,
-    /// w from the trace, which cancels near half turns.
+    /// Cancels near half turns.
     RealFromTrace,
     NegativeReal,
     SwappedFields,

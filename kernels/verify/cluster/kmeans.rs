@@ -19,9 +19,8 @@ struct Problem {
 }
 
 struct Found {
-    /// Token nearest to each centroid, and the final assignment.
+    /// Token nearest to each centroid, final assignment.
     runs: Vec<[Vec<u32>; 2]>,
-    /// Origin for matrix units.
     origin: Option<Vec<f32>>,
 }
 
@@ -33,12 +32,10 @@ struct Truth {
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// One token assigned to the next cluster.
     LastTokenMoved,
     /// Ties go to the last cluster.
     LastOfEqual,
     NextToken,
-    /// Means without the cluster's last member.
     LastMember,
     /// Empty clusters keep their centroid.
     EmptyStays,
@@ -168,7 +165,7 @@ pub fn area() -> Area {
         };
         area.add(name, count, catches, make);
     };
-    // Well-separated blobs of 16 tokens: rounding cannot change an assignment.
+    // Well-separated blobs: rounding cannot change an assignment.
     for count in [64, 512, 4096] {
         let blobs = || Catches::from([LastTokenMoved, NextToken, NoRounds, LastMember, OtherEveryRun]);
         add("blobs", count, count / 16, blobs(), |token, r| (token / 16 * 8) as f32 + r);

@@ -19,11 +19,11 @@ pub struct Problem {
     pub targets: Vec<f32>,
 }
 
-/// Target per point, and the origin for matrix units.
+/// Result of a device.
 pub struct Chosen {
-    /// Index of the chosen target.
+    /// Chosen target per point.
     pub targets: Vec<u32>,
-    /// Origin of the rows on matrix units.
+    /// Origin for matrix units.
     pub origin: Option<Vec<f32>>,
 }
 
@@ -38,7 +38,6 @@ pub struct Truth {
 pub enum Fault {
     First,
     SecondNearest,
-    /// Ties go to the last target.
     LastOfEqual,
     LaterOfTwo,
     NextIndex,
@@ -48,12 +47,11 @@ pub enum Fault {
     Products,
     /// 11-bit sums of squares.
     HalfSum,
-    /// Points beyond the workgroup fold repeat earlier ones.
     Folded,
 }
 
 impl Truth {
-    /// Finds the nearest targets by exhaustive search.
+    /// Searches exhaustively.
     pub fn new(points: &[f32], targets: &[f32], width: usize) -> Self {
         let (points, targets) = (widen(points), widen(targets));
         let nearest = two_nearest(&points, &targets, width);
@@ -147,7 +145,6 @@ impl Truth {
     }
 }
 
-/// Returns the origin for matrix units.
 pub fn host_origin(mode: Mode, targets: &[f32], width: usize) -> Option<Vec<f32>> {
     let count = targets.len() / width;
     mode.matrix.then(|| origin(&widen(targets), width, count.min(64)).into_iter().map(|x| x as f32).collect())
@@ -180,7 +177,7 @@ impl case::Problem for Problem {
         truth.excess(output, self.width)
     }
 
-    /// Half of the bound on matrix units: if nearly reached, it deserves a look.
+    /// Half of the bound on matrix units: reaching it deserves a look.
     fn typical(&self, _: &Device, _: Mode) -> Tolerance {
         Tolerance { max: 0.5, ..Tolerance::ANY }
     }
@@ -191,7 +188,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Widths of every vector, at spreads and offsets that cancel.
+/// Spreads and offsets cancel.
 pub fn shapes() -> Area {
     let make = |width: usize| {
         move || {
@@ -204,7 +201,7 @@ pub fn shapes() -> Area {
             for (scale, by) in [(1.0, 0.0), (1.0, 1e3), (1e-6, 0.0), (1e-3, 5.0), (1e15, 0.0), (1e-15, 0.0)] {
                 all.push(problem(&moved(&points, scale, by), &moved(&targets, scale, by)));
             }
-            // Clusters a thousandth as wide as the gaps between them.
+            // A thousandth as wide as the gaps between them.
             let clustered = |seed| {
                 let of = |(i, noise): (usize, f32)| targets[i / width / 30 * width + i % width] + 1e-3 * noise;
                 Noise::new(seed).values(targets.len()).into_iter().enumerate().map(of).collect::<Vec<_>>()

@@ -31,13 +31,11 @@ fn width(degree: u32) -> usize {
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     HalfResult,
-    /// No clamp of means to +-5 before exp.
     NoClamp,
-    /// Means by exp(x) - 1 in f32.
+    /// exp(x) - 1 in f32.
     CancellingExp,
-    /// Scales without the offset of 4.
     NoOffset,
-    /// Scales by log(1 + exp(x)) in f32.
+    /// log(1 + exp(x)) in f32.
     CancellingLog,
     NotNormalized,
     /// f32 squares, which overflow and underflow.
@@ -48,7 +46,7 @@ enum Fault {
 }
 
 impl Fault {
-    /// Returns the faulty value `c` of a raw Gaussian.
+    /// Value `c` of a raw Gaussian.
     fn apply(self, raw: &[f64], c: usize, right: f64) -> f64 {
         let x = raw[c];
         let single = |x: f64| x as f32;
@@ -105,10 +103,7 @@ impl Values for Problem {
     }
 }
 
-/// Activates raw Gaussians at a scene scale on a device.
-///
-/// # Errors
-/// Those of the device.
+/// Activates raw Gaussians on a device.
 pub fn run(device: &Device, raw: &[f32], degree: u32, scale: f32) -> Result<Vec<f32>> {
     let count = raw.len() / width(degree);
     let mut trial = Trial::new(device);
@@ -121,14 +116,14 @@ pub fn run(device: &Device, raw: &[f32], degree: u32, scale: f32) -> Result<Vec<
     Ok(joined(&fields, [3, 3, 4, 1, width(degree) - 11]))
 }
 
-/// Bounds expm1 at `x >= 0`. Below 0.35: a series to x^7 / 5040; above: exp(x) - 1.
+/// expm1 at `x >= 0`. Below 0.35: a series to x^7 / 5040; above: exp(x) - 1.
 fn mean_error(x: f64) -> f64 {
     let series = x.powi(7) / 5040.0 * 1.1 + gamma(14) * x.exp_m1();
     let difference = x.exp() * exponential(x) + U * x.exp_m1();
     TINY + if x < 0.35 { series } else { difference }
 }
 
-/// Bounds softplus(x - 4) before its clamps.
+/// softplus(x - 4) before its clamps.
 fn scale_error(x: f64) -> f64 {
     let z = x - 4.0;
     if z > 20.0 {
@@ -142,7 +137,7 @@ fn scale_error(x: f64) -> f64 {
     TINY + carried + if u < 0.5 { series } else { direct }
 }
 
-/// Bounds a division by the largest component, then by the length.
+/// A division by the largest component, then by the length.
 fn quat_error(component: f64, length: f64) -> f64 {
     // Short quaternions are divided by 1e-12, which amplifies flushed values.
     let flushed = if length < 2e-12 { TINY * 1e12 } else { TINY };
@@ -154,10 +149,10 @@ fn opacity_error(x: f64) -> f64 {
     opacity * ((1.0 - opacity) * exponential(x) + U + DIVISION) + TINY
 }
 
-/// Clamped and saturated values, bit-equal on every device.
+/// Bit-equal on every device.
 struct Clamps;
 
-/// Ends of clamped values: mean (bits by the device), scale, opacity.
+/// Mean (bits by the device), scale, opacity.
 #[derive(Clone)]
 struct Ends {
     means: Vec<[u32; 2]>,
@@ -167,12 +162,10 @@ struct Ends {
 
 #[derive(Clone, Copy, Debug)]
 enum ClampFault {
-    /// One value slightly beyond its bound.
     MeanPassed,
     LargeScalePassed,
     SmallScalePassed,
     Uneven,
-    /// Opacities saturate below 1.
     OpacityBelow,
 }
 
@@ -230,7 +223,6 @@ impl case::Problem for Clamps {
     }
 }
 
-/// Counts around a workgroup at every degree.
 pub fn shapes() -> Area {
     use Fault::*;
     let mut area = Area { cases: Vec::new(), ..area() };

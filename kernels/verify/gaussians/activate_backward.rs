@@ -8,7 +8,7 @@ const REASON: &str = "running error analysis of each derivative: exp 3 + 2|x| un
 /// Values of a Gaussian with band 0.
 const WIDTH: usize = 14;
 
-/// Raw Gaussians and gradients of activated ones, both `[count, WIDTH]`.
+/// `[count, WIDTH]`.
 struct Activations {
     raw: Vec<f32>,
     gradient: Vec<f32>,
@@ -18,9 +18,7 @@ struct Activations {
 enum Fault {
     HalfResult,
     NotActivated,
-    /// Gradients beyond the clamps of means and scales.
     NoClamp,
-    /// Quaternion gradients along the quaternion.
     AlongItself,
     NeighborGaussian,
 }

@@ -30,7 +30,6 @@ enum Fault {
     LastTap,
     LastChannel,
     TurnedTaps,
-    /// Edge padding instead of zeros.
     RepeatedEdge,
     NeighborPixel,
     Half,
@@ -46,7 +45,6 @@ impl Problem {
         Self { size, channels, columns, shape, rectified: false, x, weight, bias, residual: None }
     }
 
-    /// Adds a ReLU before and a residual after the convolution.
     fn residual(self) -> Self {
         let residual = Noise::new(17).values(self.out_size().iter().product::<usize>() * self.columns);
         Self { rectified: true, residual: Some(residual), ..self }
@@ -72,7 +70,7 @@ impl Problem {
         }
     }
 
-    /// Maps weights by channel and tap.
+    /// `value` maps a weight, channel and tap.
     fn weighed(&self, value: impl Fn(&[f32], usize, usize) -> f32) -> Vec<f32> {
         let taps = self.shape[0].pow(2);
         let rows = self.weight.chunks(taps * self.channels);

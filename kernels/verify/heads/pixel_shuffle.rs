@@ -4,7 +4,7 @@ use zipsplat_reference::heads::pixel_shuffle::pixel_shuffle;
 
 const REASON: &str = "every result is one value and one bias, whose sum rounds once";
 
-/// Values `[height, width, side, side, channels]`.
+/// `[height, width, side, side, channels]`.
 struct Problem {
     width: usize,
     side: usize,
@@ -17,9 +17,7 @@ enum Fault {
     NoBias,
     TurnedTaps,
     InOrder,
-    /// Bias of the next channel.
     NeighborBias,
-    /// 11-bit results.
     Half,
 }
 
@@ -81,7 +79,6 @@ impl Values for Problem {
     }
 }
 
-/// Sizes of every remainder.
 pub fn shapes() -> Area {
     let sizes = [([3, 4], 4, 16), ([2, 5], 2, 7), ([1, 1], 4, 1), ([4, 3], 1, 8)];
     let make = move || sizes.map(|(size, side, channels)| Problem::new(size, side, channels)).into();

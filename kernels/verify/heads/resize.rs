@@ -1,5 +1,3 @@
-//! Resized feature maps with position embeddings.
-
 use crate::prelude::*;
 use zipsplat::kernels::heads::Resize;
 use zipsplat_reference::heads::resize::resize;
@@ -16,18 +14,16 @@ struct Problem {
     channels: usize,
     x: Vec<f32>,
     positions: Option<Vec<f32>>,
-    /// First output line, and first source line that is bound.
+    /// First output line, first bound source line.
     lines: [usize; 2],
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// Aligns pixel centers instead of corners.
     MiddlesOnMiddles,
     Nearest,
     Turned,
     NoPositions,
-    /// Swapped positions of columns and rows.
     TurnedPositions,
     NeighborPixel,
     Half,
@@ -44,7 +40,7 @@ impl Problem {
         Self { positions: Some(positions), ..self }
     }
 
-    /// Adds columns to the first half of the channels, or rows if `turned`.
+    /// Columns go to the first half of the channels, or rows if `turned`.
     fn added(&self, values: Vec<f64>, turned: bool) -> Vec<f64> {
         let Some(positions) = &self.positions else { return values };
         let (half, width) = (self.channels / 2, self.to[1]);
@@ -61,7 +57,7 @@ impl Problem {
         resize(&widen(&self.x), [self.size[1], self.channels], self.to)
     }
 
-    /// Samples at `[y, x]`, bilinearly or by nearest neighbor.
+    /// At `[y, x]`, bilinearly or by nearest neighbor.
     fn sampled(&self, place: impl Fn(usize, usize) -> f64, nearest: bool) -> Vec<f64> {
         let [height, width] = self.size;
         let at = |y: usize, x: usize, c: usize| f64::from(self.x[(y * width + x) * self.channels + c]);
@@ -147,7 +143,7 @@ impl Values for Problem {
     }
 }
 
-/// Sizes with idle lanes, single lines and pixels, with and without positions, and parts.
+/// Idle lanes, single lines and pixels, with and without positions, and parts.
 pub fn shapes() -> Area {
     let sizes = [
         ([3, 4, 8], [6, 8]),

@@ -9,13 +9,12 @@ const REASON: &str = "running error analysis of means and variances under the wi
     relative to a value near by, of SSIM made of them, and of its derivatives under the window again";
 
 const WIDTH: usize = 21;
-/// Values of a line per invocation.
+/// Pixels of a line per invocation.
 const RUN: usize = 8;
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 const MIDDLE: f64 = 0.5;
 
-/// Picture `[height, WIDTH, 3]` and target.
 struct Problem {
     loss: Loss,
     frames: Vec<f32>,
@@ -29,12 +28,11 @@ enum Fault {
     Sum,
     /// Half of 1 - SSIM, as in some papers.
     HalfDssim,
-    /// 0.2 L1 and 0.8 of 1 - SSIM.
     SwappedMix,
     NeighborPixel,
 }
 
-/// Convolves a zero-padded line.
+/// The line is zero-padded.
 fn filtered<const N: usize>(
     line: &[[Bounded; N]],
     p: usize,
@@ -51,7 +49,7 @@ fn filtered<const N: usize>(
     sums
 }
 
-/// Returns windowed means of a and d = a - b, sum of the variances of a and b, and variance of d.
+/// Windowed means of a and d = a - b, sum of the variances of a and b, variance of d.
 fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     let at = |p: usize| {
         let center = line[(p / RUN * RUN + RUN / 2).min(line.len() - 1)];
@@ -127,7 +125,7 @@ impl Problem {
         errors
     }
 
-    /// Returns the gradient of the summed 1 - SSIM in one color, and its terms.
+    /// Gradient of the summed 1 - SSIM in one color, and its terms.
     fn color(&self, color: usize) -> (Vec<Bounded>, Vec<Bounded>) {
         let pair = |i: usize| [self.frames[i], self.targets[i]].map(Bounded::exact);
         let rows: Vec<Vec<[Bounded; 4]>> = (0..self.frames.len() / (3 * WIDTH))

@@ -5,7 +5,7 @@ use zipsplat_reference::ops::{activation::gelu, gelu::gelu_backward};
 const REASON: &str = "erf is a fit to 1.2e-7, and the density's exp is allowed 3 + 2|x| units; both are multiplied by the gradient \
     with a few roundings more";
 
-/// Arguments and gradients; without gradients, GELU itself.
+/// Without gradients, GELU itself.
 struct Problem {
     source: Vec<f32>,
     gradient: Option<Vec<f32>>,
@@ -14,7 +14,6 @@ struct Problem {
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     HalfResult,
-    /// GELU's derivative without x times the density.
     NoDensity,
     /// Derivative of x sigmoid(1.702 x).
     SigmoidGelu,
@@ -74,7 +73,6 @@ impl Values for Problem {
     }
 }
 
-/// Counts around a workgroup, forward and backward.
 pub fn shapes() -> Area {
     let make = |backward: bool| {
         let of = move |count| {

@@ -69,7 +69,6 @@ pub enum Fault {
     NoEpsilon,
     NoBias,
     NeighborRow,
-    /// Rows beyond the workgroup fold repeat earlier ones.
     Folded,
     OverflowingSquares,
 }
@@ -99,7 +98,6 @@ impl Fault {
         [mean, variance]
     }
 
-    /// Returns rows that this fault normalizes.
     pub fn normed(self, rows: &[f64], [weight, bias]: [&[f32]; 2], eps: f64) -> Vec<f64> {
         let row = |row: &[f64]| {
             let [mean, variance] = self.moments(row);
@@ -120,7 +118,6 @@ impl Problem {
         Self { width, eps: EPS, x, addend: None, is_tame: false, weight, bias }
     }
 
-    /// Returns the normalized rows.
     fn rows(&self) -> Vec<f64> {
         self.addend.as_ref().map_or(widen(&self.x), |addend| add(&widen(&self.x), &widen(addend)))
     }
@@ -181,8 +178,7 @@ impl Values for Problem {
     }
 }
 
-/// Rows around any subgroup's size and its multiples, and of the largest networks, stored in every
-/// type.
+/// Around any subgroup's size and its multiples, and of the largest networks.
 pub fn shapes() -> Area {
     use Fault::*;
     let of = |rows: usize, width: usize| {

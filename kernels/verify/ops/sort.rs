@@ -5,7 +5,7 @@ use zipsplat::ops::{scan::exclusive_scan, sort::sort_pairs};
 
 const REASON: &str = "whole numbers: as the stable sort and the running sum of the host, exactly";
 
-/// Keys sorted by their lowest `bits` bits, with indices as values.
+/// By their lowest `bits` bits, with indices as values.
 struct Sort {
     keys: Vec<u32>,
     bits: u32,
@@ -24,7 +24,7 @@ enum Fault {
 type Sorted = [Vec<u32>; 2];
 
 impl Sort {
-    /// Sorts stably by a part of the key.
+    /// Stable.
     fn sorted(&self, part: impl Fn(u32) -> u32) -> Vec<(u32, u32)> {
         let mut pairs: Vec<(u32, u32)> = self.keys.iter().copied().zip(0..).collect();
         pairs.sort_by_key(|pair| part(pair.0));
@@ -142,12 +142,11 @@ impl case::Problem for Scan {
     }
 }
 
-/// Bits of a positive float depth.
+/// Positive floats sort as integers.
 fn depths(seed: u64, count: usize) -> Vec<u32> {
     Noise::new(seed).values(count).into_iter().map(|r| (1.0 + r).mul_add(50.0, 0.01).to_bits()).collect()
 }
 
-/// Counts around subgroups, digits and blocks.
 pub fn shapes() -> Area {
     let mut area = Area { cases: Vec::new(), ..area() };
     let counts = [1, 2, 7, 8, 9, 255, 256, 257, 1025, 70_001];

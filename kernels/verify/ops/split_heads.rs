@@ -1,5 +1,3 @@
-//! Preprocessing of queries and keys: head norm, rotary positions, scale.
-
 use crate::{
     ops::layer_norm::{self, affine_errors, normed_errors},
     prelude::*,
@@ -37,12 +35,9 @@ struct Problem {
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     NoRotation,
-    /// Negated sine.
     Backwards,
-    /// Swapped rows and columns of the grid.
     SwappedAxes,
     NeighborPosition,
-    /// Cross-view patches rotate with the camera token.
     TurnedPatches,
     NoScale,
     NoNorm,
@@ -50,7 +45,6 @@ enum Fault {
     /// Variance as the difference of two f32 sums.
     OnePass,
     NeighborHead,
-    /// Workgroups beyond the fold repeat earlier ones.
     Folded,
 }
 

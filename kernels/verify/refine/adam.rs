@@ -6,7 +6,7 @@ const REASON: &str = "running error analysis of a step in the stored value: prod
     Vulkan's limits, exp 3 + 2|x| units; what is not finite moves nothing, exactly";
 
 const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
-/// Rate of a tensor, half the schedule's.
+/// Half the schedule's.
 const RATE: f32 = 0.03125;
 const SHARE: f32 = 0.5;
 
@@ -24,13 +24,11 @@ enum Fault {
     NoCorrection,
     SwappedDecays,
     NoEpsilon,
-    /// Steps the stored value, not its logarithm or logit.
+    /// Steps the value, not its logarithm or logit.
     WrongSpace,
-    /// Uses the gradient by the stored value.
     NoChainRule,
     NeighborGradient,
     NeighborValue,
-    /// Uses non-finite gradients.
     Poisoned,
 }
 

@@ -1,5 +1,3 @@
-//! Anisotropy limit of Gaussians.
-
 use crate::prelude::*;
 use zipsplat::refine::{Adam, record_anisotropy_limit};
 use zipsplat_reference::refine::anisotropy::limited;
@@ -7,30 +5,26 @@ use zipsplat_reference::refine::anisotropy::limited;
 const REASON: &str = "running error analysis: two products round once, exp 3 + 2|x| units; other scales stay exactly";
 
 const RATIO: f32 = 5.0;
-/// Rate of the limit, half the schedule's.
+/// Half the schedule's.
 const RATE: f32 = 0.25;
 const SHARE: f32 = 0.5;
 
-/// Scales `[_, 3]`.
+/// `[_, 3]`.
 struct Problem(Vec<f32>);
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// Keeps all scales.
     Unlimited,
-    /// Limits by the smallest scale.
     BySmallest,
-    /// Clamps at once, without the rate.
+    /// Without the rate.
     AtOnce,
-    /// Limits by the rate alone.
     NoRatio,
-    /// Scales all three.
     Uniform,
     NeighborGaussian,
 }
 
 impl Problem {
-    /// Scales within a factor `spread` of 0.01.
+    /// Within a factor `spread` of 0.01.
     fn new(count: usize, spread: f32) -> Self {
         Self(Noise::new(count as u64).values(3 * count).iter().map(|x| 0.01 * spread.powf(*x)).collect())
     }

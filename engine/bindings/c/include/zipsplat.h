@@ -19,37 +19,34 @@
  * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
  * Only exhausted host memory ends the process.
  *
- * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_..., _to_...,
- * zs_reconstruct, zs_refine_... and zs_depth_predict. Destroy it once, on any thread, when no call
- * uses it. Destroying NULL does nothing. Objects share ownership of their dependencies, so the
- * order of destruction is free. Your own Vulkan handles must outlive every object created on them.
- * Pointer arguments are accessed only during the call unless documented otherwise. Never free a
- * pointer that a call returned to an object's memory.
+ * Ownership. The caller owns the objects that calls create. Destroy them once, on any thread and in
+ * any order, when no call uses them; destroying NULL does nothing. Your own Vulkan handles must
+ * outlive all objects created on them. Strings and arrays in outputs are in the object's memory:
+ * never free them. Pointer arguments are accessed only during the call unless documented otherwise.
  *
- * Threads. Threads can share all objects. An internal lock of each zs_renderer serializes its
- * calls; calls on one zs_model run in parallel, at the cost of memory. Callbacks run on the
- * calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares photos,
- * weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives as long
- * as the process.
+ * Threads. Threads can share all objects. A lock in each zs_renderer serializes its calls; calls on
+ * one zs_model run in parallel, at the cost of memory. Callbacks run on the calling thread; no
+ * longjmp and no C++ exception may leave them. A thread pool of RAYON_NUM_THREADS threads, by
+ * default one per core, prepares photos, weights and files. It lives as long as the process.
  *
- * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune`
- * on disk. The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
- * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
+ * Cache. The library caches self-test results of kernels, tile sizes of `zipsplat doctor tune` and
+ * LPIPS weights in the folder ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA,
+ * else .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
  * devices (zs_device_from_vulkan) and ZS_PRECISION_FP32 need no cache.
  *
  * Structures. Later versions may append fields to a structure that begins with struct_size.
- * Initialize it with ZS_INIT, in every element of an array and also for outputs: all other fields
- * are then 0 or NULL, which is the default of every field. NULL options are the defaults. A library
- * accepts structures of its own and all earlier versions with the same ZS_ABI_VERSION and rejects
- * larger ones. Other structures never change.
+ * Initialize it with ZS_INIT, also in arrays and for outputs: all other fields are then 0 or NULL,
+ * their default. Fields named `reserved` stay 0. NULL options are the defaults. A library accepts
+ * structures of its own and all earlier versions with the same ZS_ABI_VERSION and rejects larger
+ * ones. Other structures never change.
  *
- * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
- * elements, image sides in pixels.
+ * Values. Strings are UTF-8, warnings one per line. Unknown enumeration values are rejected. Sizes
+ * are in bytes, counts in elements, image sides in pixels. Existing files are replaced atomically.
  *
- * World. Axes are x right, y down, z forward. A scene from photos is in the world of their
- * cameras. Without known cameras it is in the first photo's camera space, and its scale is not
- * metric: the median distance from the first camera to visible surfaces is about 1. Scenes from
- * files and arrays keep their own world.
+ * World. Axes are x right, y down, z forward. A scene from photos is in the world of their cameras.
+ * Without known cameras it is in the first photo's camera space, and its scale is not metric: the
+ * median distance from the first camera to visible surfaces is about 1. Scenes from files and
+ * arrays keep their own world.
  *
  * Reproducibility. Equal calls on the same device and driver give bitwise equal results.
  */
@@ -83,7 +80,7 @@ extern "C" {
 /*  Versions of the header and of the library.  */
 /************************************************/
 
-// Version of this header's library. Fixes raise the patch number, additions the minor one.
+// Version of this header's library: fixes raise the patch number, additions the minor one.
 #define ZS_VERSION_MAJOR 0
 
 // See ZS_VERSION_MAJOR.
@@ -92,20 +89,20 @@ extern "C" {
 // See ZS_VERSION_MAJOR.
 #define ZS_VERSION_PATCH 0
 
-// Version of the ABI, also in the shared library's file name. Incompatible changes raise it.
+// ABI version, also in the shared library's file name. Incompatible changes raise it.
 #define ZS_ABI_VERSION 2
 
-// Returns the loaded library's ABI version. If it is not ZS_ABI_VERSION, call nothing else.
+// Returns the library's ABI version. If it is not ZS_ABI_VERSION, call nothing else.
 uint32_t zs_abi_version(void);
 
-// Returns the loaded library's version, as "0.1.0".
+// Returns the library's version, as "0.1.0".
 const char *zs_version(void);
 
 /**************************************/
 /*  Status codes and error messages.  */
 /**************************************/
 
-// Result of a call. Later versions may add values: treat unknown ones as failures.
+// Result of a call. Treat unknown values as failures.
 ZS_ENUM(zs_status) {
     // Success.
     ZS_OK = 0,
@@ -119,51 +116,51 @@ ZS_ENUM(zs_status) {
     ZS_ERROR_WEIGHTS = 4,
     // No Vulkan loader, driver or suitable device.
     ZS_ERROR_NO_DEVICE = 5,
-    // Too little device or host memory. Nothing was submitted.
+    // Too little device or host memory; nothing was submitted.
     ZS_ERROR_OUT_OF_MEMORY = 6,
     // The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    // The device was reset or removed. Destroy every object of its device and create a new one.
-    // Scenes survive.
+    // The device was reset or removed. Destroy all its objects and create a new one. Scenes
+    // survive.
     ZS_ERROR_DEVICE_LOST = 8,
-    // The progress callback canceled.
+    // The progress callback canceled the call.
     ZS_ERROR_CANCELLED = 9,
-    // Not available in this build of the library.
+    // Not available in this build.
     ZS_ERROR_UNSUPPORTED = 10,
-    // A bug in the library. Destroy the objects of this call; others stay usable.
+    // A bug in the library. Destroy the call's objects; others stay usable.
     ZS_ERROR_INTERNAL = 11,
 };
 
-// Returns the name of a status, "unknown status" for an unknown number.
+// Returns a status's name, or "unknown status".
 const char *zs_status_name(int32_t status);
 
-// Returns the message of the calling thread's last failure, or "". The pointer stays valid until
-// the thread ends; the next failure overwrites the text, of at most 16 KiB.
+// Returns the message of the calling thread's last failure, or "", of at most 16 KiB. The pointer
+// stays valid until the thread ends; the next failure overwrites the text.
 const char *zs_last_error(void);
 
 /***************/
 /*  Progress.  */
 /***************/
 
-// Answers of a progress callback.
+// Answer of a progress callback.
 ZS_ENUM(zs_progress_action) {
     // Continues.
     ZS_CONTINUE = 0,
-    // Ends a refinement early and keeps the best scene so far. Other calls are canceled.
+    // Ends a refinement early with the best scene so far; cancels other calls.
     ZS_STOP = 1,
-    // Cancels the call, which fails with ZS_ERROR_CANCELLED.
+    // Cancels: the call fails with ZS_ERROR_CANCELLED.
     ZS_CANCEL = 2,
 };
 
-// Progress of a call. Refinements also set the fields from `step` on; others leave them 0.
+// Progress of a call. Only refinements set the fields from `step` on.
 typedef struct zs_progress {
-    // Size of this structure in the library's version.
+    // Size in the library's version.
     uint32_t struct_size;
     // 0.
     uint32_t reserved;
-    // Completed fraction of the call, from 0 to 1.
+    // Completed fraction of the call, 0 to 1.
     double fraction;
-    // Name of the current stage, for a log; valid during the callback.
+    // Name of the current stage.
     const char *stage;
     // Completed steps.
     size_t step;
@@ -171,7 +168,7 @@ typedef struct zs_progress {
     size_t steps;
     // Mean loss of the last step.
     double loss;
-    // Latest PSNR in dB of the held-out photos; NaN without any.
+    // Latest held-out PSNR in dB, or NaN.
     double psnr;
     // Estimated seconds left.
     double eta_seconds;
@@ -200,11 +197,11 @@ ZS_ENUM(zs_device_kind) {
 // An open Vulkan device.
 typedef struct zs_device zs_device;
 
-// Description of a device; strings are NUL-terminated and truncated to fit.
+// Description of a device. Strings are truncated to fit.
 typedef struct zs_device_info {
     // sizeof(zs_device_info).
     uint32_t struct_size;
-    // Device number for zs_device_options.device; 0 if adopted.
+    // Number for zs_device_options.device; 0 if adopted.
     uint32_t index;
     // 1 if the engine can use the device.
     uint32_t usable;
@@ -226,21 +223,19 @@ typedef struct zs_device_info {
 typedef struct zs_device_options {
     // sizeof(zs_device_options).
     uint32_t struct_size;
-    // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER. 0
-    // does so only if the environment variable ZIPSPLAT_VALIDATION is 1.
+    // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER, as
+    // does ZIPSPLAT_VALIDATION=1 in the environment.
     uint32_t validation;
-    // Device memory budget; 0 is unlimited. Work beyond it fails with ZS_ERROR_OUT_OF_MEMORY
-    // before submission.
+    // Device memory budget, checked before submission; 0 is unlimited.
     uint64_t max_memory_bytes;
     // Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
     // the best device.
     const char *device;
-    // Folder of self-test results, kernel timings and LPIPS weights; "" keeps none. NULL is the
-    // environment variable ZIPSPLAT_CACHE, else "zipsplat" in the user's cache.
+    // Cache folder; "" disables caching. NULL is the default (see Cache).
     const char *cache_dir;
 } zs_device_options;
 
-// Counts Vulkan devices, usable or not; ZS_ERROR_NO_DEVICE without a loader or driver.
+// Counts Vulkan devices, usable or not.
 zs_status zs_device_count(size_t *count);
 
 // Describes device `index`, less than zs_device_count.
@@ -259,28 +254,28 @@ void zs_device_destroy(struct zs_device *device);
 /*  Cameras.  */
 /**************/
 
-// A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
-// centers are at +0.5.
+// A pinhole camera with OpenCV axes: x right, y down, z forward. Lengths are in pixels, with
+// centers at +0.5.
 typedef struct zs_camera {
     // sizeof(zs_camera).
     uint32_t struct_size;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
     // Width.
     uint32_t width;
     // Height.
     uint32_t height;
-    // Focal length along x.
+    // Horizontal focal length.
     double fx;
-    // Focal length along y.
+    // Vertical focal length.
     double fy;
-    // Principal point from the left edge.
+    // Principal point, from the left edge.
     double cx;
-    // Principal point from the top edge.
+    // Principal point, from the top edge.
     double cy;
-    // Camera-to-world rotation, row-major: columns are the right, down and forward axes.
+    // Camera-to-world rotation, row-major; columns right, down, forward.
     double rotation[9];
-    // Camera center in the world.
+    // Camera center.
     double translation[3];
 } zs_camera;
 
@@ -302,7 +297,7 @@ ZS_ENUM(zs_pixel_format) {
     ZS_PIXEL_RGBA_F32 = 4,
 };
 
-// A decoded photo in host memory.
+// A decoded photo.
 typedef struct zs_image_buffer zs_image_buffer;
 
 // A photo in the caller's memory, top row first. Alpha is ignored; f32 values are clamped to 0..1
@@ -322,45 +317,44 @@ typedef struct zs_image {
     const void *pixels;
 } zs_image;
 
-// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
-// keeps the high byte of 16-bit samples. COLMAP cameras refer to unrotated pixels: use
-// zs_capture_open_image for them.
+// Opens a PNG, JPEG or WebP. Applies the EXIF orientation, drops alpha and keeps the high byte of
+// 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use zs_capture_open_image.
 zs_status zs_image_buffer_open(const char *path, struct zs_image_buffer **photo);
 
-// Decodes a photo from memory, as zs_image_buffer_open.
+// As zs_image_buffer_open, from memory.
 zs_status zs_image_buffer_from_memory(const void *data, size_t size, struct zs_image_buffer **photo);
 
-// Returns the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
+// Returns the pixels, as ZS_PIXEL_RGB8.
 zs_status zs_image_buffer_get_image(const struct zs_image_buffer *photo, struct zs_image *image);
 
 // Destroys a photo.
 void zs_image_buffer_destroy(struct zs_image_buffer *photo);
 
-// Writes a PNG of 8 bits per channel without alpha. An existing file is replaced atomically.
+// Writes an 8-bit RGB PNG.
 zs_status zs_image_save_png(const struct zs_image *image, const char *path);
 
 /******************************************/
 /*  Captures: photos with known cameras.  */
 /******************************************/
 
-// Photos of a capture with their cameras.
+// Posed photos.
 typedef struct zs_capture zs_capture;
 
 // A photo of a capture.
 typedef struct zs_capture_view {
     // sizeof(zs_capture_view).
     uint32_t struct_size;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
-    // Name as in the file.
+    // Name in the file.
     const char *name;
-    // Path of the photo, or NULL if none was found.
+    // Path of the photo; NULL if not found.
     const char *path;
     // Undistorted pinhole camera.
     const struct zs_camera *camera;
 } zs_capture_view;
 
-// Properties of a capture.
+// Description of a capture.
 typedef struct zs_capture_info {
     // sizeof(zs_capture_info).
     uint32_t struct_size;
@@ -368,34 +362,33 @@ typedef struct zs_capture_info {
     uint32_t reserved;
     // Number of photos.
     size_t view_count;
-    // Warnings about ignored data, one per line, in the capture's memory.
+    // Warnings about ignored data.
     const char *warnings;
 } zs_capture_info;
 
-// Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
-// binary), or a folder that contains either. World and scale stay the file's. Photos are read only
-// for sizes that the file lacks.
+// Opens a capture: a transforms.json (instant-ngp, nerfstudio), a COLMAP model folder, or a folder
+// that contains either. World and scale stay the file's. Photos are read only for sizes that the
+// file lacks.
 zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
-// Creates a capture of pinhole cameras from copies. Paths may be NULL.
+// Creates a capture from copies of pinhole cameras. Paths may be NULL.
 zs_status zs_capture_create(const struct zs_capture_view *views, size_t count, struct zs_capture **capture);
 
-// Writes the capture's cameras, names and lenses as a transforms.json (nerfstudio) at `path`. An
-// existing file is replaced atomically.
+// Writes cameras, names and lenses as a transforms.json (nerfstudio).
 zs_status zs_capture_save(const struct zs_capture *capture, const char *path);
 
 // Describes a capture.
 zs_status zs_capture_get_info(const struct zs_capture *capture, struct zs_capture_info *info);
 
-// Returns photo `index`, whose strings and camera are in the capture's memory.
+// Returns photo `index`.
 zs_status zs_capture_get_view(const struct zs_capture *capture, size_t index, struct zs_capture_view *view);
 
 // Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
-// `index` is the number of photos. ZS_ERROR_ARGUMENT for an ambiguous match.
+// `index` is the number of photos. An ambiguous match is a ZS_ERROR_ARGUMENT.
 zs_status zs_capture_find(const struct zs_capture *capture, const char *path, size_t *index);
 
-// Opens photo `index` undistorted, ignoring the EXIF orientation. `path` overrides the capture's
-// path; NULL keeps it.
+// Opens photo `index` undistorted, ignoring the EXIF orientation, from `path` or, if NULL, the
+// capture's path.
 zs_status zs_capture_open_image(const struct zs_capture *capture,
                                 size_t index,
                                 const char *path,
@@ -404,13 +397,13 @@ zs_status zs_capture_open_image(const struct zs_capture *capture,
 // Destroys a capture.
 void zs_capture_destroy(struct zs_capture *capture);
 
-/************************************************************/
-/*  Scenes: Gaussians from and to arrays, files and bytes.  */
-/************************************************************/
+/****************************************/
+/*  Scenes in arrays, files and bytes.  */
+/****************************************/
 
 // World of a scene.
 ZS_ENUM(zs_world) {
-    // ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
+    // ZS_WORLD_INPUT_CAMERAS with known cameras, else ZS_WORLD_FIRST_CAMERA.
     ZS_WORLD_AUTO = 0,
     // The first photo's camera space.
     ZS_WORLD_FIRST_CAMERA = 1,
@@ -418,21 +411,21 @@ ZS_ENUM(zs_world) {
     ZS_WORLD_INPUT_CAMERAS = 2,
 };
 
-// Bytes owned by the library, such as an encoded scene file.
+// Bytes of the library, such as an encoded scene file.
 typedef struct zs_blob zs_blob;
 
-// 3D Gaussians in host memory. Independent of devices; survives device loss.
+// 3D Gaussians in host memory, which survive device loss.
 typedef struct zs_scene zs_scene;
 
-// Properties of a scene.
+// Description of a scene.
 typedef struct zs_scene_info {
     // sizeof(zs_scene_info).
     uint32_t struct_size;
-    // World that the file states; ZS_WORLD_AUTO if it states none.
+    // World that the file states, or ZS_WORLD_AUTO.
     zs_world world;
     // Number of Gaussians.
     size_t gaussian_count;
-    // Number of Gaussians dropped by zs_scene_open_options.drop_invalid.
+    // Number of Gaussians dropped by `drop_invalid`.
     size_t dropped_count;
 } zs_scene_info;
 
@@ -453,25 +446,24 @@ typedef struct zs_gaussians {
     // N opacities from 0 to 1.
     const float *opacities;
     // N x K x 3 coefficients of spherical harmonics for red, green, blue, as in 3D Gaussian
-    // Splatting. The basis is real and orthonormal, by band, then m = -l to l, negative for odd m.
-    // It begins with 0.282095, -0.488603 y, 0.488603 z, -0.488603 x. (x, y, z) is the unit vector
-    // in the world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis
-    // times coefficients).
+    // Splatting. The basis is real and orthonormal, by band, then m = -l to l, negative for odd m:
+    // 0.282095, -0.488603 y, 0.488603 z, -0.488603 x, ... for the unit vector (x, y, z) in the
+    // world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis times
+    // coefficients).
     const float *sh_coeffs;
 } zs_gaussians;
 
-// Options of zs_scene_open and zs_scene_from_memory.
+// Options for reading scenes.
 typedef struct zs_scene_open_options {
     // sizeof(zs_scene_open_options).
     uint32_t struct_size;
     // 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     uint32_t drop_invalid;
-    // Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat"
-    // or "gltf". NULL for files.
+    // Format in memory: "splat" or "gltf"; others are recognized by content. NULL for files.
     const char *format;
 } zs_scene_open_options;
 
-// Options of zs_scene_save.
+// Options for writing scenes.
 typedef struct zs_scene_save_options {
     // sizeof(zs_scene_save_options).
     uint32_t struct_size;
@@ -482,14 +474,14 @@ typedef struct zs_scene_save_options {
 // Describes a scene.
 zs_status zs_scene_get_info(const struct zs_scene *scene, struct zs_scene_info *info);
 
-// Returns the scene's size and arrays, which point into the scene.
+// Returns the scene's arrays.
 zs_status zs_scene_get_gaussians(const struct zs_scene *scene, struct zs_gaussians *gaussians);
 
 // Creates a scene from copies of arrays. All are required, with finite values in their range.
 zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
 
 // Creates a scene with a Gaussian per point, as an initialization for zs_refine_scene. `positions`
-// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the
+// is N x 3; `colors` is N x 3 in red, green, blue, or NULL for gray. `cameras` limit the
 // Gaussians' sizes; their count may be 0.
 zs_status zs_scene_from_points(const float *positions,
                                const uint8_t *colors,
@@ -498,28 +490,27 @@ zs_status zs_scene_from_points(const float *positions,
                                size_t camera_count,
                                struct zs_scene **scene);
 
-// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
+// Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
 // KHR_gaussian_splatting (.gltf, .glb).
 zs_status zs_scene_open(const char *path, const struct zs_scene_open_options *options, struct zs_scene **scene);
 
-// Decodes a scene from `size` bytes at `data`, as zs_scene_open. A glTF must not refer to other
-// files.
+// As zs_scene_open, from memory. A glTF must not refer to other files.
 zs_status zs_scene_from_memory(const void *data,
                                size_t size,
                                const struct zs_scene_open_options *options,
                                struct zs_scene **scene);
 
-// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
-// existing file is replaced atomically. The world of an opened file is kept.
+// Writes a scene in the format of the extension: .ply, .spz, .splat, .gltf or .glb. An opened
+// file's world is kept.
 zs_status zs_scene_save(const struct zs_scene *scene, const char *path, const struct zs_scene_save_options *options);
 
-// Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb".
+// Encodes a scene as "ply", "spz", "splat", "gltf" or "glb".
 zs_status zs_scene_to_memory(const struct zs_scene *scene,
                              const char *format,
                              const struct zs_scene_save_options *options,
                              struct zs_blob **bytes);
 
-// Returns address and size of the bytes, which belong to the object.
+// Returns the bytes.
 zs_status zs_blob_get(const struct zs_blob *bytes, const void **data, size_t *size);
 
 // Destroys bytes.
@@ -532,22 +523,23 @@ void zs_scene_destroy(struct zs_scene *scene);
 /*  Models.  */
 /*************/
 
-// Number formats of the network. Geometry is always f32.
+// Number formats of the network. Geometry is f32. Unsupported precisions and those that fail the
+// self-test are rejected.
 ZS_ENUM(zs_precision) {
     // ZS_PRECISION_FP16 on a GPU with matrix units that pass the self-test, else
     // ZS_PRECISION_FP32.
     ZS_PRECISION_AUTO = 0,
     // f32 throughout.
     ZS_PRECISION_FP32 = 1,
-    // f16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
+    // f16 matrix products, otherwise f32.
     ZS_PRECISION_FP16 = 2,
-    // bf16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
+    // bf16 matrix products, otherwise f32.
     ZS_PRECISION_BF16 = 3,
     // 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FP16.
     ZS_PRECISION_INT8 = 4,
 };
 
-// A network with its weights on a device.
+// A network on a device.
 typedef struct zs_model zs_model;
 
 // Options of zs_model_load.
@@ -557,8 +549,8 @@ typedef struct zs_model_options {
     // Number formats.
     zs_precision precision;
     // Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
-    // "da3b" or "da3l". Missing parameters follow, as in
-    // "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's.
+    // "da3b" or "da3l", and missing parameters, as in
+    // "vits:out_layers=5,7,11:alt_start=5:rope_start=5".
     const char *variant;
     // Progress callback.
     zs_progress_callback progress;
@@ -566,41 +558,39 @@ typedef struct zs_model_options {
     void *user_data;
     // 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
     uint32_t tokens;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
 } zs_model_options;
 
-// Properties of a model.
+// Description of a model.
 typedef struct zs_model_info {
     // sizeof(zs_model_info).
     uint32_t struct_size;
-    // Native side of its square input images.
+    // Native side of the square input.
     uint32_t image_size;
-    // Side of a patch; sides of input images are multiples of it.
+    // Patch side, which divides the sides of input images.
     uint32_t patch_size;
-    // Gaussians per token. At ratio 1 a photo has width / patch_size * height / patch_size tokens.
+    // Gaussians per token; at ratio 1 every patch is a token.
     uint32_t gaussians_per_token;
-    // SH degree of its scenes.
+    // Degree of spherical harmonics.
     uint32_t sh_degree;
-    // Number formats in use, never ZS_PRECISION_AUTO.
+    // Number formats in use.
     zs_precision precision;
-    // Weights on the device.
+    // Device memory of the weights.
     uint64_t weight_bytes;
-    // Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
-    // self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_AUTO to
-    // ZS_PRECISION_FP32.
+    // Unusable GPUs, kernels that failed their self-test, assumptions about the weights. Failed
+    // kernels can reduce ZS_PRECISION_AUTO to ZS_PRECISION_FP32.
     const char *warnings;
 } zs_model_info;
 
-// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
-// "builtin", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
-// model.
+// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for "builtin"
+// (ZS_ERROR_UNSUPPORTED in builds without one), or random weights for "seeded:VARIANT".
 zs_status zs_model_load(const struct zs_device *device,
                         const char *path,
                         const struct zs_model_options *options,
                         struct zs_model **model);
 
-// Loads a checkpoint from memory, as zs_model_load.
+// As zs_model_load, from memory.
 zs_status zs_model_from_memory(const struct zs_device *device,
                                const void *data,
                                size_t size,
@@ -617,14 +607,14 @@ void zs_model_destroy(struct zs_model *model);
 /*  Reconstructions.  */
 /**********************/
 
-// Gaussians of a reconstruction on its device, with their relation to the photos.
+// A reconstruction's Gaussians on its device, with their relation to the photos.
 typedef struct zs_reconstruction zs_reconstruction;
 
-// Properties of a reconstruction.
+// Description of a reconstruction.
 typedef struct zs_reconstruction_info {
     // sizeof(zs_reconstruction_info).
     uint32_t struct_size;
-    // 1 if its tokens can be refined.
+    // 1 if ZS_REFINE_TARGET_TOKENS is possible.
     uint32_t has_tokens;
     // Number of photos.
     size_t view_count;
@@ -632,7 +622,7 @@ typedef struct zs_reconstruction_info {
     size_t token_count;
     // Number of Gaussians.
     size_t gaussian_count;
-    // Warnings, one per line, in the reconstruction's memory.
+    // Warnings.
     const char *warnings;
 } zs_reconstruction_info;
 
@@ -646,8 +636,7 @@ typedef struct zs_camera_estimate {
     uint32_t patches;
     // 0.
     uint32_t reserved;
-    // Camera of the whole photo in the scene's world, in the reconstruction's memory; NULL without
-    // an estimate.
+    // Camera of the whole photo in the scene's world; NULL without an estimate.
     const struct zs_camera *camera;
 } zs_camera_estimate;
 
@@ -658,8 +647,8 @@ zs_status zs_reconstruction_get_info(const struct zs_reconstruction *reconstruct
 // Reads the scene from the device.
 zs_status zs_reconstruction_to_scene(const struct zs_reconstruction *reconstruction, struct zs_scene **scene);
 
-// Estimates the camera of photo `index` from the Gaussians of its patches. The first call
-// estimates all, with one field of view. Fails if no photo has an estimate, or for known cameras.
+// Estimates the camera of photo `index` from its patches' Gaussians. The first call estimates all,
+// with one field of view. Fails if no photo has an estimate, or for known cameras.
 zs_status zs_reconstruction_estimate_camera(const struct zs_reconstruction *reconstruction,
                                             size_t index,
                                             struct zs_camera_estimate *estimate);
@@ -671,18 +660,18 @@ void zs_reconstruction_destroy(struct zs_reconstruction *reconstruction);
 /*  Reconstruction: photos to a scene.  */
 /****************************************/
 
-// Largest number of photos of a reconstruction or a depth prediction.
+// Maximum number of photos.
 #define ZS_MAX_VIEWS 192
 
 // The paper's ratio: 0.5 sqrt(2 / number of photos).
 #define ZS_RATIO_AUTO -1.0
 
-// A scale estimated from the cameras and, if given, the capture's points.
+// Scale estimated from the cameras and, if given, the capture's points.
 #define ZS_SCENE_SCALE_AUTO 0.0
 
-// Selection of the tokens kept at ratios below 1.
+// Token selection at ratios below 1.
 ZS_ENUM(zs_token_selection) {
-    // The token nearest to each k-means centroid, as in the paper.
+    // The token nearest to each k-means centroid.
     ZS_TOKEN_SELECTION_KMEANS = 0,
     // Evenly spaced.
     ZS_TOKEN_SELECTION_STRIDE = 1,
@@ -698,16 +687,16 @@ typedef struct zs_reconstruct_options {
     zs_world world;
     // Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO; 0 is 1.
     double ratio;
-    // Scene scale: the length in units of `cameras` that the network treats as 1, or
-    // ZS_SCENE_SCALE_AUTO. The network expects a median distance of about 1 from the first camera.
+    // Length in units of `cameras` that the network treats as 1, or ZS_SCENE_SCALE_AUTO. The
+    // network expects a median distance of about 1 from the first camera.
     double scene_scale;
-    // Selection of the kept tokens.
+    // Token selection.
     zs_token_selection token_selection;
     // Pooling for many photos: cross-view attention reads means of `kv_pool` x `kv_pool` patches,
     // 1 to 4; 0 is 1. Larger values are faster and less exact.
     uint32_t kv_pool;
-    // Width and height of the network's input, multiples of the patch size: photos are
-    // center-cropped and resized. 0 and 0 are the model's own.
+    // Width and height of the network's input, multiples of the patch size; 0 and 0 are the
+    // model's own. Photos are center-cropped and resized.
     uint32_t input_size[2];
     // Seed for ZS_TOKEN_SELECTION_RANDOM.
     uint64_t seed;
@@ -719,8 +708,7 @@ typedef struct zs_reconstruct_options {
     zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
-    // Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras`
-    // alone.
+    // Capture whose points and cameras give ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     const struct zs_capture *capture;
 } zs_reconstruct_options;
 
@@ -731,19 +719,19 @@ zs_status zs_reconstruct(const struct zs_model *model,
                          const struct zs_reconstruct_options *options,
                          struct zs_reconstruction **reconstruction);
 
-/***************************************************/
-/*  Depth: per-pixel depth and cameras of photos.  */
-/***************************************************/
+/**********************************/
+/*  Depth and cameras of photos.  */
+/**********************************/
 
-// Sources of estimated cameras.
+// Source of estimated cameras.
 ZS_ENUM(zs_camera_source) {
     // The camera decoder.
     ZS_CAMERA_SOURCE_DECODER = 0,
-    // The ray maps, principal point included. Photos with inconsistent rays get no camera.
+    // The ray maps, principal point included. Inconsistent rays give no camera.
     ZS_CAMERA_SOURCE_RAYS = 1,
 };
 
-// A Depth Anything 3 network with its weights on a device.
+// A Depth Anything 3 network on a device.
 typedef struct zs_depth_model zs_depth_model;
 
 // Depth and cameras of photos.
@@ -761,19 +749,19 @@ typedef struct zs_depth_model_options {
     void *user_data;
 } zs_depth_model_options;
 
-// Properties of a depth model.
+// Description of a depth model.
 typedef struct zs_depth_model_info {
     // sizeof(zs_depth_model_info).
     uint32_t struct_size;
-    // 1 if it sees all photos at once and estimates cameras, 0 if it sees each alone.
+    // 1 if it sees all photos at once and estimates cameras.
     uint32_t is_multi_view;
-    // Side of a patch; sides of maps are multiples of it.
+    // Patch side, which divides the sides of maps.
     uint32_t patch_size;
-    // Number formats in use, never ZS_PRECISION_AUTO.
+    // Number formats in use.
     zs_precision precision;
-    // Weights on the device.
+    // Device memory of the weights.
     uint64_t weight_bytes;
-    // Warnings, one per line, in the model's memory: unusable GPUs and failed kernels.
+    // Unusable GPUs and failed kernels.
     const char *warnings;
 } zs_depth_model_info;
 
@@ -781,13 +769,13 @@ typedef struct zs_depth_model_info {
 typedef struct zs_depth_options {
     // sizeof(zs_depth_options).
     uint32_t struct_size;
-    // Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
-    // 14. Photos of different shapes are cropped to their common center. 0 is 504.
+    // Longer side of the network's input, 14 to 8192 pixels; 0 is 504. Each side is rounded to a
+    // multiple of 14. Photos of different shapes are cropped to their common center.
     uint32_t input_size;
     // Source of estimated cameras.
     zs_camera_source camera_source;
-    // 1 estimates a focal length per photo; 0 shares the confidence-weighted median among photos
-    // of equal size.
+    // 1 estimates a focal length per photo, 0 a shared one for photos of equal size
+    // (confidence-weighted median).
     uint32_t per_view_focal;
     // 0 or the number of photos.
     size_t camera_count;
@@ -800,7 +788,7 @@ typedef struct zs_depth_options {
     void *user_data;
 } zs_depth_options;
 
-// Properties of a depth result.
+// Description of a depth result.
 typedef struct zs_depth_result_info {
     // sizeof(zs_depth_result_info).
     uint32_t struct_size;
@@ -810,7 +798,7 @@ typedef struct zs_depth_result_info {
     size_t view_count;
 } zs_depth_result_info;
 
-// Depth of a photo, in memory of its zs_depth_result. Arrays are `[height][width]`.
+// Depth of a photo. Arrays are `[height][width]`.
 typedef struct zs_depth_map {
     // sizeof(zs_depth_map).
     uint32_t struct_size;
@@ -820,13 +808,13 @@ typedef struct zs_depth_map {
     uint32_t width;
     // Height.
     uint32_t height;
-    // Distance along the camera's axis, in the scale of the cameras, shared by all views.
+    // Distance along the camera's axis, in the cameras' scale, which all views share.
     const float *depth;
-    // Confidence, at least 1, from multi-view networks; else NULL.
+    // Confidence, at least 1; NULL from single-view networks.
     const float *confidence;
-    // Sky score, at least 0 and above 0.3 for sky, from single-view networks; else NULL.
+    // Sky score, at least 0, above 0.3 for sky; NULL from multi-view networks.
     const float *sky;
-    // Camera of the map, which unprojects `depth` into the common world; NULL if unknown.
+    // Camera of the map in the common world; NULL if unknown.
     const struct zs_camera *camera;
     // Camera of the whole photo; NULL if unknown.
     const struct zs_camera *image_camera;
@@ -856,21 +844,21 @@ zs_status zs_depth_predict(const struct zs_depth_model *model,
 // Describes a depth result.
 zs_status zs_depth_result_get_info(const struct zs_depth_result *depths, struct zs_depth_result_info *info);
 
-// Returns the depth and cameras of photo `index`.
+// Returns the map of photo `index`.
 zs_status zs_depth_result_get_map(const struct zs_depth_result *depths, size_t index, struct zs_depth_map *map);
 
 // Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
-// Each patch of 14 x 14 pixels keeps its `max_gaussians_per_patch` most visible ones; 0 keeps all.
+// Patches of 14 x 14 pixels keep their `max_gaussians_per_patch` most visible ones; 0 keeps all.
 zs_status zs_depth_result_to_scene(const struct zs_depth_result *depths,
                                    uint32_t max_gaussians_per_patch,
                                    struct zs_scene **scene);
 
-// Destroys depths.
+// Destroys a depth result.
 void zs_depth_result_destroy(struct zs_depth_result *depths);
 
-/****************************************************/
-/*  Refinement: optimizes a scene to match photos.  */
-/****************************************************/
+/********************************************/
+/*  Refinement of a scene to match photos.  */
+/********************************************/
 
 // Holds out no photo.
 #define ZS_HOLDOUT_VIEWS_NONE -1
@@ -883,29 +871,29 @@ ZS_ENUM(zs_refine_target) {
     ZS_REFINE_TARGET_TOKENS = 1,
 };
 
-// Reasons for the end of a refinement.
+// Reason for the end of a refinement.
 ZS_ENUM(zs_stop_reason) {
     // All steps completed.
     ZS_STOP_REASON_FINISHED = 0,
-    // Progress callback returned ZS_STOP.
+    // The progress callback returned ZS_STOP.
     ZS_STOP_REASON_STOPPED = 1,
     // The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
 };
 
-// Options of zs_refine_scene and zs_refine_reconstruction.
+// Options of a refinement.
 typedef struct zs_refine_options {
     // sizeof(zs_refine_options).
     uint32_t struct_size;
-    // Optimizer steps; 0: `seconds`.
+    // Optimizer steps; 0 uses `seconds`.
     uint32_t steps;
     // Photos per step, capped at the number of training photos; 0 is 4.
     uint32_t views_per_step;
-    // Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds
+    // Number of evenly spaced held-out photos, less than all, or ZS_HOLDOUT_VIEWS_NONE; 0 holds
     // out one photo of 40 or more. The step with their best PSNR is returned.
     int32_t holdout_views;
-    // Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
-    // UINT32_MAX keeps full size.
+    // Maximum width and height in pixels; larger photos are downscaled. 0 is 1600, UINT32_MAX
+    // keeps full size.
     uint32_t max_image_size[2];
     // Optimized parameters.
     zs_refine_target target;
@@ -913,20 +901,20 @@ typedef struct zs_refine_options {
     uint32_t optimize_cameras;
     // Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
     float perceptual_weight;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
     // Seed of the photo order and of growth.
     uint64_t seed;
-    // Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on,
-    // to one per 32 pixels of the photos and at most four times the scene's. For
-    // ZS_REFINE_TARGET_TOKENS 0.
+    // Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 300
+    // steps on, to one per 32 pixels of the photos and at most four times the scene's. Must be 0
+    // for tokens.
     size_t max_gaussians;
     // Progress callback, called after each step.
     zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
-    // Time to spend instead of `steps`, about; 0 without `steps` is 60. The steps and the photos'
-    // size follow from the measured time of a few.
+    // Approximate duration instead of `steps`; 0 without `steps` is 60. A few timed steps
+    // determine the number of steps and the photos' size.
     double seconds;
 } zs_refine_options;
 
@@ -940,11 +928,11 @@ typedef struct zs_refine_result {
     uint32_t steps;
     // Step of the returned scene; 0 if none improved it.
     uint32_t best_step;
-    // Mean loss of the first step, at its resolution; NaN without a step.
+    // Mean loss of the first step, at its resolution, or NaN.
     double initial_loss;
     // Mean loss of the last step, likewise.
     double final_loss;
-    // Held-out PSNR in dB before the first step; NaN without held-out photos.
+    // Held-out PSNR in dB before the first step, or NaN.
     double initial_psnr;
     // Held-out PSNR in dB of the returned scene.
     double best_psnr;
@@ -952,9 +940,9 @@ typedef struct zs_refine_result {
     double seconds;
     // Mean PSNR in dB of up to 16 full-size training photos before the first step.
     double initial_training_psnr;
-    // PSNR in dB of the same photos for the returned scene.
+    // The same for the returned scene.
     double best_training_psnr;
-    // Output array for the cameras of all photos, with struct_size set, or NULL.
+    // Output array for all photos' cameras, with struct_size set, or NULL.
     struct zs_camera *cameras;
 } zs_refine_result;
 
@@ -970,7 +958,7 @@ zs_status zs_refine_scene(const struct zs_device *device,
                           struct zs_refine_result *result,
                           struct zs_scene **refined);
 
-// Optimizes the Gaussians or tokens of a reconstruction, as zs_refine_scene.
+// As zs_refine_scene, for the Gaussians or tokens of a reconstruction.
 zs_status zs_refine_reconstruction(const struct zs_reconstruction *reconstruction,
                                    const struct zs_image *images,
                                    const struct zs_camera *cameras,
@@ -983,42 +971,41 @@ zs_status zs_refine_reconstruction(const struct zs_reconstruction *reconstructio
 /*  Renderers: draw a scene from a device into host memory.  */
 /*************************************************************/
 
-// Kinds of depth along the camera's z axis, in world units.
+// Depth along the camera's z axis, in world units.
 ZS_ENUM(zs_depth_mode) {
-    // Expected depth: the blended depth divided by alpha; 0 where alpha is 0.
+    // Blended depth divided by alpha; 0 where alpha is 0.
     ZS_DEPTH_MODE_EXPECTED = 0,
     // Sum of depth times blending weight.
     ZS_DEPTH_MODE_ACCUMULATED = 1,
 };
 
-// A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
-// output. An internal lock serializes calls, so that threads can share it.
+// A scene on a device. Caches recordings for the last four sizes and kinds of output.
 typedef struct zs_renderer zs_renderer;
 
 // Output buffers of a picture; NULL skips one.
 typedef struct zs_render_buffers {
     // sizeof(zs_render_buffers).
     uint32_t struct_size;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
-    // As zs_image.stride; padding between rows stays unchanged.
+    // As zs_image.stride; padding stays unchanged.
     int64_t stride;
     // As zs_image.pixels, in the options' format.
     void *pixels;
-    // height x width: alpha from 0 to 1.
+    // height x width: 0 to 1.
     float *alpha;
-    // height x width: depth in world units.
+    // height x width, in world units.
     float *depth;
     // height x width x 3: unit normals in the world, toward the camera; 0 where empty.
     float *normals;
 } zs_render_buffers;
 
-// Options of zs_render.
+// Options of pictures.
 typedef struct zs_render_options {
     // sizeof(zs_render_options).
     uint32_t struct_size;
-    // Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
-    // Color includes the background's part; on black it is premultiplied.
+    // 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged. Color includes the
+    // background's part; on black it is premultiplied.
     zs_pixel_format format;
     // Kind of zs_render_buffers.depth.
     zs_depth_mode depth;
@@ -1026,32 +1013,32 @@ typedef struct zs_render_options {
     uint32_t antialiased;
     // Background as red, green, blue.
     float background[3];
-    // Near plane: Gaussians at smaller camera depth are culled. 0 is 0.01, or less for
-    // scenes with an extent below 0.1.
+    // Culls Gaussians at smaller camera depth. 0 is 0.01, or less for scenes with an extent below
+    // 0.1.
     float near_plane;
 } zs_render_options;
 
-// Creates a renderer. `scene` is uploaded; NULL sets none yet.
+// Creates a renderer and uploads `scene`, which may be NULL.
 zs_status zs_renderer_create(const struct zs_device *device,
                              const struct zs_scene *scene,
                              struct zs_renderer **renderer);
 
-// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, set a
+// Replaces the scene, cheaply for an equal number of Gaussians and degree. After a failure, set a
 // scene successfully before drawing.
 zs_status zs_renderer_set_scene(struct zs_renderer *renderer, const struct zs_scene *scene);
 
-// Replaces the scene by a reconstruction's Gaussians, which stay on the device unless they are in
-// the world of known cameras.
+// Replaces the scene by a reconstruction's Gaussians, without a copy to the host unless they are
+// in the world of known cameras.
 zs_status zs_renderer_set_reconstruction(struct zs_renderer *renderer, const struct zs_reconstruction *reconstruction);
 
-// Replaces the scene by copies of arrays, for optimizers: without a zs_scene, and in place for an
-// equal number of Gaussians and degree. Otherwise as zs_scene_create and zs_renderer_set_scene.
+// As zs_scene_create and zs_renderer_set_scene, without a zs_scene, for optimizers. An equal
+// number of Gaussians and degree is updated in place.
 zs_status zs_renderer_update_gaussians(struct zs_renderer *renderer, const struct zs_gaussians *gaussians);
 
 // Destroys a renderer, after its copies to Vulkan targets.
 void zs_renderer_destroy(struct zs_renderer *renderer);
 
-// Draws one picture per camera. After a failure some pictures may be written.
+// Draws a picture per camera. After a failure some pictures may be written.
 zs_status zs_render(const struct zs_renderer *renderer,
                     const struct zs_camera *cameras,
                     const struct zs_render_buffers *pictures,
@@ -1066,7 +1053,7 @@ zs_status zs_render(const struct zs_renderer *renderer,
 typedef struct zs_grad_outputs {
     // sizeof(zs_grad_outputs).
     uint32_t struct_size;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
     // height x width x 3.
     const float *color;
@@ -1076,11 +1063,11 @@ typedef struct zs_grad_outputs {
     const float *depth;
 } zs_grad_outputs;
 
-// Output buffers of gradients; NULL skips one. Values are overwritten, not accumulated.
+// Output buffers of gradients, which are overwritten; NULL skips one.
 typedef struct zs_gradients {
     // sizeof(zs_gradients).
     uint32_t struct_size;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
     // N x 3.
     float *means;
@@ -1092,18 +1079,18 @@ typedef struct zs_gradients {
     float *opacities;
     // N x K x 3.
     float *sh_coeffs;
-    // count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
-    // camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
+    // count x 10: w x, y, z, v x, y, z, fx, fy, cx, cy. The camera-to-world pose moves as pose o
+    // (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     float *cameras;
-    // count x N x 2, of the projected centers in pixels, at constant projected covariances.
+    // count x N x 2: projected centers in pixels, at constant covariances.
     float *means2d;
 } zs_gradients;
 
-// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color is that of
-// ZS_PIXEL_RGB_F32 for any format in the options. Zero-valued coefficients also get gradients.
+// Backpropagates `grad_outputs` of `count` cameras. Color is that of ZS_PIXEL_RGB_F32 for any
+// format in the options. Zero-valued coefficients also get gradients.
 //
-// `scene` need not be the renderer's, which keeps a second scene on the device. NULL is the
-// renderer's, if it is not a reconstruction's. `gradients` is written only on success.
+// `scene` may differ from the renderer's, which keeps a second scene on the device. NULL is the
+// renderer's, unless it is a reconstruction's. `gradients` is written only on success.
 zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_scene *scene,
                              const struct zs_camera *cameras,
@@ -1116,25 +1103,24 @@ zs_status zs_render_backward(const struct zs_renderer *renderer,
 /*  The caller's own Vulkan device, images and buffers.  */
 /*********************************************************/
 
-// Kinds of zs_vulkan_requirement.
+// Kind of a zs_vulkan_requirement.
 ZS_ENUM(zs_requirement_kind) {
-    // `name` is the minimum API version, as "1.3", for VkApplicationInfo.apiVersion and the
-    // device.
+    // `name` is the minimum API version, as "1.3", of VkApplicationInfo and the device.
     ZS_REQUIRES_API_VERSION = 0,
     // `name` is a device extension.
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
-    // `name` is a field of `structure` to set to VK_TRUE in the VkDeviceCreateInfo chain.
+    // `name` is a field of `structure` to set to VK_TRUE at device creation.
     ZS_REQUIRES_FEATURE = 2,
 };
 
 // A requirement for the caller's device.
 typedef struct zs_vulkan_requirement {
-    // Kind of the requirement.
+    // Kind.
     zs_requirement_kind kind;
     // 1 if only faster precisions need it. Enable all that the device supports, then set
     // zs_vulkan_device.optional_features_enabled.
     uint32_t optional;
-    // Name as Vulkan has it; static.
+    // Vulkan's name; static.
     const char *name;
     // Static; "" unless a feature.
     const char *structure;
@@ -1143,7 +1129,7 @@ typedef struct zs_vulkan_requirement {
 // vkGetInstanceProcAddr, cast to a function without arguments.
 typedef void (*zs_vulkan_function)(void);
 
-// Locks or unlocks a queue. Must return and must not call this library.
+// Locks or unlocks a queue. Must not call this library.
 typedef void (*zs_queue_lock)(void *user_data);
 
 // Borrowed Vulkan handles, never destroyed.
@@ -1162,9 +1148,8 @@ typedef struct zs_vulkan_device {
     void *device;
     // VkQueue. Submissions happen only on calling threads.
     void *queue;
-    // Called on the submitting thread before each submission to `queue`, and `unlock_queue` right
-    // after it. The lock is never held while waiting. Do not hold it when calling the library.
-    // NULL if the queue is not shared during calls.
+    // Called before each submission to `queue`, and `unlock_queue` right after it, on the same
+    // thread. Do not hold the lock when calling the library. NULL if the queue is not shared.
     zs_queue_lock lock_queue;
     // NULL exactly if `lock_queue` is.
     zs_queue_lock unlock_queue;
@@ -1172,7 +1157,7 @@ typedef struct zs_vulkan_device {
     void *user_data;
     // 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_FP32.
     uint32_t optional_features_enabled;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
     // As zs_device_options.cache_dir.
     const char *cache_dir;
@@ -1180,37 +1165,37 @@ typedef struct zs_vulkan_device {
 
 // A value of a caller's timeline semaphore.
 typedef struct zs_semaphore_point {
-    // VkSemaphore of type timeline, cast to uint64_t.
+    // Timeline VkSemaphore, cast to uint64_t.
     uint64_t semaphore;
     // Value to wait for or to signal.
     uint64_t value;
 } zs_semaphore_point;
 
-// A caller's image or buffer as a copy destination. Handles are cast to uint64_t. They must
-// outlive the signals or, without signals, the renderer.
+// A caller's image or buffer as a copy destination. Handles are cast to uint64_t and must outlive
+// the signals or, without signals, the renderer.
 typedef struct zs_vulkan_target {
     // sizeof(zs_vulkan_target).
     uint32_t struct_size;
-    // Must be 0.
+    // 0.
     uint32_t reserved;
-    // VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format of the
-    // zs_pixel_format, owned by the queue's family or shared. 0 for a buffer.
+    // VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the zs_pixel_format's format,
+    // owned by the queue's family or shared. 0 for a buffer.
     uint64_t image;
-    // First column to write; the camera's size must fit from there.
+    // First column; the camera's size must fit from there.
     uint32_t x;
-    // First row to write.
+    // First row.
     uint32_t y;
     // Mip level.
     uint32_t mip_level;
     // Array layer.
     uint32_t array_layer;
-    // VkImageLayout after the waits; VK_IMAGE_LAYOUT_UNDEFINED may discard contents.
+    // VkImageLayout after the waits.
     int32_t old_layout;
     // VkImageLayout at the signals; 0 is VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     int32_t new_layout;
     // VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     uint64_t buffer;
-    // First byte in the buffer, a multiple of 4.
+    // First byte, a multiple of 4.
     uint64_t buffer_offset;
     // Writable bytes from there.
     uint64_t buffer_size;
@@ -1218,24 +1203,23 @@ typedef struct zs_vulkan_target {
     size_t wait_count;
     // Number of `signals`.
     size_t signal_count;
-    // Semaphore values to wait for before writing.
+    // Waited for before writing.
     const struct zs_semaphore_point *waits;
     // Signaled when the picture is written and visible.
     const struct zs_semaphore_point *signals;
 } zs_vulkan_target;
 
-// Lists required and optional features for zs_device_from_vulkan. Needs no device.
+// Lists the requirements of zs_device_from_vulkan.
 zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list, size_t *count);
 
-// Creates a device on the caller's Vulkan device. All required features must be enabled; this
-// cannot be checked.
+// Adopts the caller's device. All required features must be enabled; this cannot be checked.
 zs_status zs_device_from_vulkan(const struct zs_vulkan_device *vulkan, struct zs_device **device);
 
 // Draws one camera into an image or buffer without a host copy, as ZS_PIXEL_RGBA8, BGRA8 or
 // RGBA_F32. The renderer's device must be adopted.
 //
 // Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
-// ends with the signals. Without semaphores, queue order applies. The renderer's next picture may
+// ends with the signals; without semaphores, queue order applies. The renderer's next picture may
 // wait for this copy, so no wait may depend on it.
 zs_status zs_render_to_vulkan(const struct zs_renderer *renderer,
                               const struct zs_camera *camera,

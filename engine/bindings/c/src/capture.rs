@@ -3,9 +3,7 @@
 use super::{
     camera::zs_camera,
     image::zs_image_buffer,
-    pointers::{
-        Versioned, borrow, destroy, optional_text, produce, put, read_array, read_given, text, write_versioned,
-    },
+    pointers::{Versioned, borrow, describe, destroy, optional_text, produce, put, read_array, read_given, text},
     status::{Failure, guard, zs_status},
 };
 use std::{
@@ -18,7 +16,7 @@ use zipsplat::{
     types::poses::{CaptureView, write_frames},
 };
 
-/// Photos of a capture with their cameras.
+/// Posed photos.
 pub struct zs_capture {
     pub(super) capture: Capture,
     views: Vec<View>,
@@ -31,7 +29,7 @@ struct View {
     camera: zs_camera,
 }
 
-/// Properties of a capture.
+/// Description of a capture.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_capture_info {
@@ -41,7 +39,7 @@ pub struct zs_capture_info {
     pub reserved: u32,
     /// Number of photos.
     pub view_count: usize,
-    /// Warnings about ignored data, one per line, in the capture's memory.
+    /// Warnings about ignored data.
     pub warnings: *const c_char,
 }
 
@@ -51,11 +49,11 @@ pub struct zs_capture_info {
 pub struct zs_capture_view {
     /// sizeof(zs_capture_view).
     pub struct_size: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
-    /// Name as in the file.
+    /// Name in the file.
     pub name: *const c_char,
-    /// Path of the photo, or NULL if none was found.
+    /// Path of the photo; NULL if not found.
     pub path: *const c_char,
     /// Undistorted pinhole camera.
     pub camera: *const zs_camera,
@@ -84,18 +82,18 @@ fn c_text(text: &str) -> CString {
     CString::new(text.replace('\0', " ")).expect("no NUL")
 }
 
-/// Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
-/// binary), or a folder that contains either. World and scale stay the file's. Photos are read only
-/// for sizes that the file lacks.
+/// Opens a capture: a transforms.json (instant-ngp, nerfstudio), a COLMAP model folder, or a folder
+/// that contains either. World and scale stay the file's. Photos are read only for sizes that the
+/// file lacks.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
-    // SAFETY: a string or NULL.
+    // SAFETY: the caller's arguments.
     let open = || Ok(Capture::open(unsafe { text(path, "path") }?)?.into());
     // SAFETY: the caller's pointer.
     unsafe { produce(capture, open) }
 }
 
-/// Creates a capture of pinhole cameras from copies. Paths may be NULL.
+/// Creates a capture from copies of pinhole cameras. Paths may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_create(
     views: *const zs_capture_view,
@@ -109,7 +107,7 @@ pub unsafe extern "C" fn zs_capture_create(
             if view.reserved != 0 {
                 return Err(Failure::argument(format!("view {i}, reserved"), view.reserved, "0"));
             }
-            // SAFETY: strings, a structure, or NULL.
+            // SAFETY: the caller's arguments.
             let (name, path, camera) = unsafe {
                 let (name, path) = (format!("name of view {i}"), format!("path of view {i}"));
                 (text(view.name, &name)?, optional_text(view.path, &path)?, read_given(view.camera)?.camera()?)
@@ -124,12 +122,11 @@ pub unsafe extern "C" fn zs_capture_create(
     unsafe { produce(capture, create) }
 }
 
-/// Writes the capture's cameras, names and lenses as a transforms.json (nerfstudio) at `path`. An
-/// existing file is replaced atomically.
+/// Writes cameras, names and lenses as a transforms.json (nerfstudio).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *const c_char) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL, a string or NULL.
+        // SAFETY: the caller's arguments.
         let (capture, path) = unsafe { (&borrow(capture, "capture")?.capture, text(path, "path")?) };
         let points = capture.points.as_deref().and_then(Path::to_str);
         Ok(write_frames(path, &capture.frames, points)?)
@@ -139,34 +136,31 @@ pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *cons
 /// Describes a capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_info(capture: *const zs_capture, info: *mut zs_capture_info) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let zs_capture { views, warnings, .. } = unsafe { borrow(capture, "capture") }?;
-        let found = zs_capture_info { view_count: views.len(), warnings: warnings.as_ptr(), ..Versioned::new() };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, found) }
-    })
+    let of = |zs_capture { views, warnings, .. }: &zs_capture| {
+        Ok(zs_capture_info { view_count: views.len(), warnings: warnings.as_ptr(), ..Versioned::new() })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(capture, "capture", info, of) }
 }
 
-/// Returns photo `index`, whose strings and camera are in the capture's memory.
+/// Returns photo `index`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_view(
     capture: *const zs_capture,
     index: usize,
     view: *mut zs_capture_view,
 ) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let View { name, path, camera } = at(&unsafe { borrow(capture, "capture") }?.views, index)?;
+    let of = |capture: &zs_capture| {
+        let View { name, path, camera } = at(&capture.views, index)?;
         let path = path.as_ref().map_or(null(), |path| path.as_ptr());
-        let found = zs_capture_view { name: name.as_ptr(), path, camera, ..Versioned::new() };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(view, found) }
-    })
+        Ok(zs_capture_view { name: name.as_ptr(), path, camera, ..Versioned::new() })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(capture, "capture", view, of) }
 }
 
 /// Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
-/// `index` is the number of photos. ZS_ERROR_ARGUMENT for an ambiguous match.
+/// `index` is the number of photos. An ambiguous match is a ZS_ERROR_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_find(
     capture: *const zs_capture,
@@ -174,7 +168,7 @@ pub unsafe extern "C" fn zs_capture_find(
     index: *mut usize,
 ) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL, a string or NULL.
+        // SAFETY: the caller's arguments.
         let (capture, path) = unsafe { (&borrow(capture, "capture")?.capture, text(path, "path")?) };
         let found = capture.frame_of(path)?;
         let at = capture.frames.iter().position(|frame| found.is_some_and(|found| std::ptr::eq(frame, found)));
@@ -183,8 +177,8 @@ pub unsafe extern "C" fn zs_capture_find(
     })
 }
 
-/// Opens photo `index` undistorted, ignoring the EXIF orientation. `path` overrides the capture's
-/// path; NULL keeps it.
+/// Opens photo `index` undistorted, ignoring the EXIF orientation, from `path` or, if NULL, the
+/// capture's path.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open_image(
     capture: *const zs_capture,
@@ -193,7 +187,7 @@ pub unsafe extern "C" fn zs_capture_open_image(
     photo: *mut *mut zs_image_buffer,
 ) -> zs_status {
     let open = || {
-        // SAFETY: an object or NULL, a string or NULL.
+        // SAFETY: the caller's arguments.
         let (capture, path) = unsafe { (borrow(capture, "capture")?, optional_text(path, "path")?) };
         let frame = at(&capture.capture.frames, index)?;
         let path = path.map(Path::new).or(frame.photo.as_deref());

@@ -1,15 +1,15 @@
-//! Depth: per-pixel depth and cameras of photos.
+//! Depth and cameras of photos.
 
 use super::{
     camera::zs_camera,
     device::zs_device,
     image::zs_image,
     model::{zs_precision, zs_precision_value},
-    pointers::{Versioned, borrow, destroy, produce, read_array, read_versioned, text, write_versioned},
+    pointers::{Versioned, borrow, describe, destroy, produce, read_array, read_versioned, text},
     progress::{Reporter, zs_progress_callback},
     reconstruct::check_view_count,
     scene::zs_scene,
-    status::{Failure, guard, zs_status},
+    status::{Failure, zs_status},
 };
 use std::{
     ffi::{CString, c_char, c_void},
@@ -26,7 +26,7 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// A Depth Anything 3 network with its weights on a device.
+/// A Depth Anything 3 network on a device.
 pub struct zs_depth_model {
     model: DepthModel,
     precision: Precision,
@@ -39,17 +39,17 @@ pub struct zs_depth_result {
     images: Vec<Image>,
     /// Cameras of the maps; `None` if unknown.
     cameras: Vec<Option<Camera>>,
-    /// Cameras of the maps and of the whole photos; `None` if unknown.
+    /// Cameras of the maps and of the whole photos, likewise.
     c_cameras: Vec<Option<[zs_camera; 2]>>,
 }
 
-/// Sources of estimated cameras.
+/// Source of estimated cameras.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_camera_source {
     /// The camera decoder.
     ZS_CAMERA_SOURCE_DECODER = 0,
-    /// The ray maps, principal point included. Photos with inconsistent rays get no camera.
+    /// The ray maps, principal point included. Inconsistent rays give no camera.
     ZS_CAMERA_SOURCE_RAYS = 1,
 }
 
@@ -69,21 +69,21 @@ pub struct zs_depth_model_options {
     pub user_data: *mut c_void,
 }
 
-/// Properties of a depth model.
+/// Description of a depth model.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_model_info {
     /// sizeof(zs_depth_model_info).
     pub struct_size: u32,
-    /// 1 if it sees all photos at once and estimates cameras, 0 if it sees each alone.
+    /// 1 if it sees all photos at once and estimates cameras.
     pub is_multi_view: u32,
-    /// Side of a patch; sides of maps are multiples of it.
+    /// Patch side, which divides the sides of maps.
     pub patch_size: u32,
-    /// Number formats in use, never ZS_PRECISION_AUTO.
+    /// Number formats in use.
     pub precision: zs_precision_value,
-    /// Weights on the device.
+    /// Device memory of the weights.
     pub weight_bytes: u64,
-    /// Warnings, one per line, in the model's memory: unusable GPUs and failed kernels.
+    /// Unusable GPUs and failed kernels.
     pub warnings: *const c_char,
 }
 
@@ -93,13 +93,13 @@ pub struct zs_depth_model_info {
 pub struct zs_depth_options {
     /// sizeof(zs_depth_options).
     pub struct_size: u32,
-    /// Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
-    /// 14. Photos of different shapes are cropped to their common center. 0 is 504.
+    /// Longer side of the network's input, 14 to 8192 pixels; 0 is 504. Each side is rounded to a
+    /// multiple of 14. Photos of different shapes are cropped to their common center.
     pub input_size: u32,
     /// Source of estimated cameras.
     pub camera_source: zs_camera_source_value,
-    /// 1 estimates a focal length per photo; 0 shares the confidence-weighted median among photos
-    /// of equal size.
+    /// 1 estimates a focal length per photo, 0 a shared one for photos of equal size
+    /// (confidence-weighted median).
     pub per_view_focal: u32,
     /// 0 or the number of photos.
     pub camera_count: usize,
@@ -112,7 +112,7 @@ pub struct zs_depth_options {
     pub user_data: *mut c_void,
 }
 
-/// Properties of a depth result.
+/// Description of a depth result.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_result_info {
@@ -124,7 +124,7 @@ pub struct zs_depth_result_info {
     pub view_count: usize,
 }
 
-/// Depth of a photo, in memory of its zs_depth_result. Arrays are `[height][width]`.
+/// Depth of a photo. Arrays are `[height][width]`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_map {
@@ -136,13 +136,13 @@ pub struct zs_depth_map {
     pub width: u32,
     /// Height.
     pub height: u32,
-    /// Distance along the camera's axis, in the scale of the cameras, shared by all views.
+    /// Distance along the camera's axis, in the cameras' scale, which all views share.
     pub depth: *const f32,
-    /// Confidence, at least 1, from multi-view networks; else NULL.
+    /// Confidence, at least 1; NULL from single-view networks.
     pub confidence: *const f32,
-    /// Sky score, at least 0 and above 0.3 for sky, from single-view networks; else NULL.
+    /// Sky score, at least 0, above 0.3 for sky; NULL from multi-view networks.
     pub sky: *const f32,
-    /// Camera of the map, which unprojects `depth` into the common world; NULL if unknown.
+    /// Camera of the map in the common world; NULL if unknown.
     pub camera: *const zs_camera,
     /// Camera of the whole photo; NULL if unknown.
     pub image_camera: *const zs_camera,
@@ -182,20 +182,18 @@ pub unsafe extern "C" fn zs_depth_model_get_info(
     model: *const zs_depth_model,
     info: *mut zs_depth_model_info,
 ) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let zs_depth_model { model, precision, warnings } = unsafe { borrow(model, "model") }?;
-        let found = zs_depth_model_info {
+    let of = |zs_depth_model { model, precision, warnings }: &zs_depth_model| {
+        Ok(zs_depth_model_info {
             is_multi_view: model.architecture().multi_view().into(),
             patch_size: model.architecture().backbone.patch_size as u32,
             precision: zs_precision::from(*precision) as i32,
             weight_bytes: model.weight_bytes(),
             warnings: warnings.as_ptr(),
             ..Versioned::new()
-        };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, found) }
-    })
+        })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(model, "model", info, of) }
 }
 
 /// Destroys a depth model.
@@ -216,7 +214,7 @@ pub unsafe extern "C" fn zs_depth_predict(
     depths: *mut *mut zs_depth_result,
 ) -> zs_status {
     let find = || {
-        // SAFETY: an object or NULL; a structure or NULL.
+        // SAFETY: the caller's arguments.
         let (zs_depth_model { model, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         check_view_count(image_count)?;
         let by_rays = options.by_rays()?;
@@ -269,30 +267,26 @@ pub unsafe extern "C" fn zs_depth_result_get_info(
     depths: *const zs_depth_result,
     info: *mut zs_depth_result_info,
 ) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let view_count = unsafe { borrow(depths, "depths") }?.images.len();
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, zs_depth_result_info { view_count, ..Versioned::new() }) }
-    })
+    let of =
+        |depths: &zs_depth_result| Ok(zs_depth_result_info { view_count: depths.images.len(), ..Versioned::new() });
+    // SAFETY: the caller's arguments.
+    unsafe { describe(depths, "depths", info, of) }
 }
 
-/// Returns the depth and cameras of photo `index`.
+/// Returns the map of photo `index`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_result_get_map(
     depths: *const zs_depth_result,
     index: usize,
     map: *mut zs_depth_map,
 ) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let zs_depth_result { depths, c_cameras, .. } = unsafe { borrow(depths, "depths") }?;
+    let of = |zs_depth_result { depths, c_cameras, .. }: &zs_depth_result| {
         let expected = || format!("a number below {}", depths.views.len());
         let found = depths.views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
         let values = |values: &Option<Vec<f32>>| values.as_ref().map_or(null(), |values| values.as_ptr());
         let camera = |which: usize| c_cameras[index].as_ref().map_or(null(), |cameras| &raw const cameras[which]);
         let DepthMap { depth, confidence, sky, .. } = found;
-        let found = zs_depth_map {
+        Ok(zs_depth_map {
             width: depths.width,
             height: depths.height,
             depth: depth.as_ptr(),
@@ -301,14 +295,14 @@ pub unsafe extern "C" fn zs_depth_result_get_map(
             camera: camera(0),
             image_camera: camera(1),
             ..Versioned::new()
-        };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(map, found) }
-    })
+        })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(depths, "depths", map, of) }
 }
 
 /// Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
-/// Each patch of 14 x 14 pixels keeps its `max_gaussians_per_patch` most visible ones; 0 keeps all.
+/// Patches of 14 x 14 pixels keep their `max_gaussians_per_patch` most visible ones; 0 keeps all.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_result_to_scene(
     depths: *const zs_depth_result,
@@ -316,7 +310,7 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
     scene: *mut *mut zs_scene,
 ) -> zs_status {
     let make = || {
-        // SAFETY: an object or NULL.
+        // SAFETY: the caller's arguments.
         let zs_depth_result { depths, images, cameras, .. } = unsafe { borrow(depths, "depths") }?;
         let posed: Vec<usize> = (0..images.len()).filter(|&i| cameras[i].is_some()).collect();
         if posed.is_empty() {
@@ -335,7 +329,7 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
     unsafe { produce(scene, make) }
 }
 
-/// Destroys depths.
+/// Destroys a depth result.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_result_destroy(depths: *mut zs_depth_result) {
     // SAFETY: NULL or given up by the caller.

@@ -27,13 +27,13 @@ pub enum zs_device_kind {
     ZS_DEVICE_CPU = 3,
 }
 
-/// Description of a device; strings are NUL-terminated and truncated to fit.
+/// Description of a device. Strings are truncated to fit.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_device_info {
     /// sizeof(zs_device_info).
     pub struct_size: u32,
-    /// Device number for zs_device_options.device; 0 if adopted.
+    /// Number for zs_device_options.device; 0 if adopted.
     pub index: u32,
     /// 1 if the engine can use the device.
     pub usable: u32,
@@ -51,7 +51,7 @@ pub struct zs_device_info {
     pub uuid: [c_char; 40],
 }
 
-/// An enumeration's number in structures, so that invalid values can be rejected.
+/// Plain integer of a structure's field, which may hold invalid values.
 pub(super) type zs_device_kind_value = i32;
 
 /// Options of zs_device_create.
@@ -60,23 +60,21 @@ pub(super) type zs_device_kind_value = i32;
 pub struct zs_device_options {
     /// sizeof(zs_device_options).
     pub struct_size: u32,
-    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER. 0
-    /// does so only if the environment variable ZIPSPLAT_VALIDATION is 1.
+    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER, as
+    /// does ZIPSPLAT_VALIDATION=1 in the environment.
     pub validation: u32,
-    /// Device memory budget; 0 is unlimited. Work beyond it fails with ZS_ERROR_OUT_OF_MEMORY
-    /// before submission.
+    /// Device memory budget, checked before submission; 0 is unlimited.
     pub max_memory_bytes: u64,
     /// Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
     /// the best device.
     pub device: *const c_char,
-    /// Folder of self-test results, kernel timings and LPIPS weights; "" keeps none. NULL is the
-    /// environment variable ZIPSPLAT_CACHE, else "zipsplat" in the user's cache.
+    /// Cache folder; "" disables caching. NULL is the default (see Cache).
     pub cache_dir: *const c_char,
 }
 
 versioned!(zs_device_info, zs_device_options);
 
-/// Counts Vulkan devices, usable or not; ZS_ERROR_NO_DEVICE without a loader or driver.
+/// Counts Vulkan devices, usable or not.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_count(count: *mut usize) -> zs_status {
     guard(|| {
@@ -105,9 +103,9 @@ pub unsafe extern "C" fn zs_device_get(index: usize, info: *mut zs_device_info) 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_create(options: *const zs_device_options, device: *mut *mut zs_device) -> zs_status {
     let open = || {
-        // SAFETY: the caller's structure, or NULL.
+        // SAFETY: the caller's arguments.
         let options = unsafe { read_versioned(options) }?;
-        // SAFETY: strings or NULL, as the header says.
+        // SAFETY: the caller's arguments.
         let (device, cache_dir) = unsafe { (optional_text(options.device, "device")?, cached_in(options.cache_dir)?) };
         let max_memory_bytes = Some(options.max_memory_bytes).filter(|bytes| *bytes > 0);
         let default = DeviceOptions::default();
@@ -124,7 +122,7 @@ pub unsafe extern "C" fn zs_device_create(options: *const zs_device_options, dev
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_get_info(device: *const zs_device, info: *mut zs_device_info) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL.
+        // SAFETY: the caller's arguments.
         let gpu = &unsafe { borrow(device, "device") }?.gpu;
         let (index, limits) = (gpu.index(), gpu.limits().clone());
         // SAFETY: the caller's structure.
@@ -139,8 +137,6 @@ pub unsafe extern "C" fn zs_device_destroy(device: *mut zs_device) {
     unsafe { destroy(device) }
 }
 
-/// Returns the folder that a `cache_dir` means.
-///
 /// # Safety
 /// `pointer` is NULL or a NUL-terminated string.
 pub(super) unsafe fn cached_in(pointer: *const c_char) -> Result<Option<PathBuf>, Failure> {

@@ -18,7 +18,7 @@ use zipsplat::{
 pub struct zs_grad_outputs {
     /// sizeof(zs_grad_outputs).
     pub struct_size: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
     /// height x width x 3.
     pub color: *const f32,
@@ -28,13 +28,13 @@ pub struct zs_grad_outputs {
     pub depth: *const f32,
 }
 
-/// Output buffers of gradients; NULL skips one. Values are overwritten, not accumulated.
+/// Output buffers of gradients, which are overwritten; NULL skips one.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gradients {
     /// sizeof(zs_gradients).
     pub struct_size: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
     /// N x 3.
     pub means: *mut f32,
@@ -46,20 +46,20 @@ pub struct zs_gradients {
     pub opacities: *mut f32,
     /// N x K x 3.
     pub sh_coeffs: *mut f32,
-    /// count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
-    /// camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
+    /// count x 10: w x, y, z, v x, y, z, fx, fy, cx, cy. The camera-to-world pose moves as pose o
+    /// (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     pub cameras: *mut f32,
-    /// count x N x 2, of the projected centers in pixels, at constant projected covariances.
+    /// count x N x 2: projected centers in pixels, at constant covariances.
     pub means2d: *mut f32,
 }
 
 versioned!(zs_grad_outputs, zs_gradients);
 
-/// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color is that of
-/// ZS_PIXEL_RGB_F32 for any format in the options. Zero-valued coefficients also get gradients.
+/// Backpropagates `grad_outputs` of `count` cameras. Color is that of ZS_PIXEL_RGB_F32 for any
+/// format in the options. Zero-valued coefficients also get gradients.
 ///
-/// `scene` need not be the renderer's, which keeps a second scene on the device. NULL is the
-/// renderer's, if it is not a reconstruction's. `gradients` is written only on success.
+/// `scene` may differ from the renderer's, which keeps a second scene on the device. NULL is the
+/// renderer's, unless it is a reconstruction's. `gradients` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,
@@ -71,7 +71,7 @@ pub unsafe extern "C" fn zs_render_backward(
     gradients: *const zs_gradients,
 ) -> zs_status {
     guard(|| {
-        // SAFETY: objects or NULL; structures or NULL; arrays of the caller's.
+        // SAFETY: the caller's arguments.
         let (renderer, scene, cameras, grads, options, to) = unsafe {
             let cameras = read_array(cameras, count, "cameras")?;
             let grads = read_array(grad_outputs, count, "grad_outputs")?;
@@ -112,7 +112,7 @@ pub unsafe extern "C" fn zs_render_backward(
 
 impl zs_grad_outputs {
     /// # Safety
-    /// Pointers that are not NULL have values for every pixel.
+    /// Non-NULL pointers have values for every pixel.
     unsafe fn read(&self, camera: &Camera, i: usize) -> Result<RenderOutput, Failure> {
         if self.reserved != 0 {
             return Err(Failure::argument(format!("grad_outputs {i}, reserved"), self.reserved, "0"));
@@ -137,7 +137,7 @@ impl zs_grad_outputs {
 
 impl zs_gradients {
     /// # Safety
-    /// Pointers that are not NULL have capacity for all gradients of their kind.
+    /// Non-NULL pointers have capacity for all gradients of their kind.
     unsafe fn write(&self, found: &HostGradients) -> Result<(), Failure> {
         let (scene, cameras) = (&found.scene, found.cameras.as_flattened());
         let fields = [

@@ -1,7 +1,7 @@
 //! Images.
 
 use super::{
-    pointers::{Versioned, array, borrow, destroy, produce, read_given, text, write_versioned},
+    pointers::{Versioned, array, describe, destroy, produce, read_given, text},
     status::{guard, zs_status},
 };
 use std::ffi::{c_char, c_void};
@@ -75,26 +75,25 @@ versioned!(zs_image);
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
 
-/// Limit of pixels of one photo, shared with decoded files.
+/// Also the limit of decoded files.
 const MAX_PIXELS: u64 = MAX_DECODED_BYTES / 3;
 
-/// A decoded photo in host memory.
+/// A decoded photo.
 pub struct zs_image_buffer {
     pub(super) image: Image,
 }
 
-/// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
-/// keeps the high byte of 16-bit samples. COLMAP cameras refer to unrotated pixels: use
-/// zs_capture_open_image for them.
+/// Opens a PNG, JPEG or WebP. Applies the EXIF orientation, drops alpha and keeps the high byte of
+/// 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use zs_capture_open_image.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_open(path: *const c_char, photo: *mut *mut zs_image_buffer) -> zs_status {
-    // SAFETY: a string or NULL.
+    // SAFETY: the caller's arguments.
     let open = || Ok(zs_image_buffer { image: Image::open(unsafe { text(path, "path") }?)? });
     // SAFETY: the caller's pointer.
     unsafe { produce(photo, open) }
 }
 
-/// Decodes a photo from memory, as zs_image_buffer_open.
+/// As zs_image_buffer_open, from memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_from_memory(
     data: *const c_void,
@@ -109,17 +108,16 @@ pub unsafe extern "C" fn zs_image_buffer_from_memory(
     unsafe { produce(photo, decode) }
 }
 
-/// Returns the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
+/// Returns the pixels, as ZS_PIXEL_RGB8.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_get_image(photo: *const zs_image_buffer, image: *mut zs_image) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let Image { width, height, rgb } = &unsafe { borrow(photo, "photo") }?.image;
+    let of = |photo: &zs_image_buffer| {
+        let Image { width, height, rgb } = &photo.image;
         let (pixels, format) = (rgb.as_ptr().cast(), zs_pixel_format::ZS_PIXEL_RGB8 as i32);
-        let found = zs_image { format, width: *width, height: *height, pixels, ..Versioned::new() };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(image, found) }
-    })
+        Ok(zs_image { format, width: *width, height: *height, pixels, ..Versioned::new() })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(photo, "photo", image, of) }
 }
 
 /// Destroys a photo.
@@ -129,11 +127,11 @@ pub unsafe extern "C" fn zs_image_buffer_destroy(photo: *mut zs_image_buffer) {
     unsafe { destroy(photo) }
 }
 
-/// Writes a PNG of 8 bits per channel without alpha. An existing file is replaced atomically.
+/// Writes an 8-bit RGB PNG.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const c_char) -> zs_status {
     guard(|| {
-        // SAFETY: a structure or NULL, a string or NULL.
+        // SAFETY: the caller's arguments.
         let (image, path) = unsafe { (read_given(image)?, text(path, "path")?) };
         // SAFETY: the caller's pixels.
         Ok(unsafe { image.image("image") }?.save_png(path)?)
@@ -173,7 +171,7 @@ impl zs_image {
     }
 }
 
-/// Returns the checked row stride: at least a row, within the address space for the whole picture.
+/// Checks a row stride: at least a row, and a picture within the address space.
 pub(super) fn checked_stride(stride: i64, row_bytes: usize, height: u32, name: &str) -> Result<isize> {
     let stride = if stride == 0 { row_bytes as i64 } else { stride };
     let fits =

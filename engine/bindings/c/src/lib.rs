@@ -1,10 +1,9 @@
-//! The C ABI.
-//! `tests/abi/header.rs` generates `engine/bindings/c/include/zipsplat.h` from these files, doc
-//! comments included. They address C callers, so caller obligations are in plain text, not in `#
-//! Safety` sections.
+//! The C ABI. `tests/abi/header.rs` generates `engine/bindings/c/include/zipsplat.h` from it. Doc
+//! comments address C callers: obligations are in plain text, not in `# Safety` sections.
 //!
-//! Every entry point runs inside `status::guard`, which catches panics and stores the thread's
-//! message. Enumerations and booleans arrive as plain integers and are checked.
+//! Entry points run inside `status::guard`, which catches panics and stores the thread's message.
+//! Enumerations and booleans arrive as integers and are checked. "SAFETY: the caller's arguments"
+//! means the header's rules: pointers are NULL or valid as documented, unwritten during the call.
 #![allow(unsafe_code, non_camel_case_types, clippy::missing_safety_doc)]
 
 #[macro_use]

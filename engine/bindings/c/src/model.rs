@@ -2,9 +2,9 @@
 
 use super::{
     device::zs_device,
-    pointers::{Versioned, array, borrow, destroy, optional_text, produce, read_versioned, text, write_versioned},
+    pointers::{Versioned, array, borrow, describe, destroy, optional_text, produce, read_versioned, text},
     progress::{Reporter, zs_progress_callback},
-    status::{Failure, guard, zs_status},
+    status::{Failure, zs_status},
 };
 use std::{
     ffi::{CString, c_char, c_void},
@@ -14,12 +14,12 @@ use zipsplat::{
     Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::KernelChoice, weights::Checkpoint,
 };
 
-/// A network with its weights on a device.
+/// A network on a device.
 pub struct zs_model {
     pub(super) model: Model,
     pub(super) head: Option<Arc<FrozenHead>>,
     precision: Precision,
-    /// Unavailable GPUs and kernels, one per line.
+    /// Unavailable GPUs and kernels.
     warnings: CString,
 }
 
@@ -32,8 +32,8 @@ pub struct zs_model_options {
     /// Number formats.
     pub precision: zs_precision_value,
     /// Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
-    /// "da3b" or "da3l". Missing parameters follow, as in
-    /// "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's.
+    /// "da3b" or "da3l", and missing parameters, as in
+    /// "vits:out_layers=5,7,11:alt_start=5:rope_start=5".
     pub variant: *const c_char,
     /// Progress callback.
     pub progress: zs_progress_callback,
@@ -41,37 +41,37 @@ pub struct zs_model_options {
     pub user_data: *mut c_void,
     /// 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
     pub tokens: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
 }
 
-/// Properties of a model.
+/// Description of a model.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_info {
     /// sizeof(zs_model_info).
     pub struct_size: u32,
-    /// Native side of its square input images.
+    /// Native side of the square input.
     pub image_size: u32,
-    /// Side of a patch; sides of input images are multiples of it.
+    /// Patch side, which divides the sides of input images.
     pub patch_size: u32,
-    /// Gaussians per token. At ratio 1 a photo has width / patch_size * height / patch_size tokens.
+    /// Gaussians per token; at ratio 1 every patch is a token.
     pub gaussians_per_token: u32,
-    /// SH degree of its scenes.
+    /// Degree of spherical harmonics.
     pub sh_degree: u32,
-    /// Number formats in use, never ZS_PRECISION_AUTO.
+    /// Number formats in use.
     pub precision: zs_precision_value,
-    /// Weights on the device.
+    /// Device memory of the weights.
     pub weight_bytes: u64,
-    /// Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
-    /// self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_AUTO to
-    /// ZS_PRECISION_FP32.
+    /// Unusable GPUs, kernels that failed their self-test, assumptions about the weights. Failed
+    /// kernels can reduce ZS_PRECISION_AUTO to ZS_PRECISION_FP32.
     pub warnings: *const c_char,
 }
 
 versioned!(zs_model_options, zs_model_info);
 
-/// Number formats of the network. Geometry is always f32.
+/// Number formats of the network. Geometry is f32. Unsupported precisions and those that fail the
+/// self-test are rejected.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_precision {
@@ -80,9 +80,9 @@ pub enum zs_precision {
     ZS_PRECISION_AUTO = 0,
     /// f32 throughout.
     ZS_PRECISION_FP32 = 1,
-    /// f16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
+    /// f16 matrix products, otherwise f32.
     ZS_PRECISION_FP16 = 2,
-    /// bf16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
+    /// bf16 matrix products, otherwise f32.
     ZS_PRECISION_BF16 = 3,
     /// 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FP16.
     ZS_PRECISION_INT8 = 4,
@@ -111,9 +111,8 @@ impl From<Precision> for zs_precision {
 
 pub(super) type zs_precision_value = i32;
 
-/// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
-/// "builtin", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
-/// model.
+/// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for "builtin"
+/// (ZS_ERROR_UNSUPPORTED in builds without one), or random weights for "seeded:VARIANT".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_load(
     device: *const zs_device,
@@ -121,7 +120,7 @@ pub unsafe extern "C" fn zs_model_load(
     options: *const zs_model_options,
     model: *mut *mut zs_model,
 ) -> zs_status {
-    // SAFETY: a string or NULL.
+    // SAFETY: the caller's arguments.
     let checkpoint = |variant: Option<&str>| match unsafe { text(path, "path") }? {
         "builtin" => match variant {
             Some(variant) => Err(Failure::argument("variant", variant, "NULL: the built-in model names its own")),
@@ -133,7 +132,7 @@ pub unsafe extern "C" fn zs_model_load(
     unsafe { load(device, options, model, checkpoint) }
 }
 
-/// Loads a checkpoint from memory, as zs_model_load.
+/// As zs_model_load, from memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_from_memory(
     device: *const zs_device,
@@ -153,7 +152,6 @@ pub unsafe extern "C" fn zs_model_from_memory(
     unsafe { load(device, options, model, checkpoint) }
 }
 
-/// A build without one is not a caller's mistake.
 fn builtin() -> Result<Checkpoint, Failure> {
     Checkpoint::builtin().map_err(|error| match error {
         Error::Argument { .. } => Failure::unsupported(error.to_string()),
@@ -164,11 +162,9 @@ fn builtin() -> Result<Checkpoint, Failure> {
 /// Describes a model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let zs_model { model, precision, warnings, .. } = unsafe { borrow(model, "model") }?;
+    let of = |zs_model { model, precision, warnings, .. }: &zs_model| {
         let architecture = model.architecture();
-        let found = zs_model_info {
+        Ok(zs_model_info {
             image_size: model.image_size(),
             patch_size: architecture.patch_size as u32,
             gaussians_per_token: architecture.gaussians_per_token as u32,
@@ -177,10 +173,10 @@ pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs
             weight_bytes: model.weight_bytes(),
             warnings: warnings.as_ptr(),
             ..Versioned::new()
-        };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, found) }
-    })
+        })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(model, "model", info, of) }
 }
 
 /// Destroys a model.
@@ -191,7 +187,6 @@ pub unsafe extern "C" fn zs_model_destroy(model: *mut zs_model) {
 }
 
 /// # Safety
-///
 /// `device` and `options` are NULL or valid; `out` is NULL or writable.
 unsafe fn load(
     device: *const zs_device,
@@ -209,7 +204,7 @@ unsafe fn load(
         if options.tokens > 1 {
             return Err(Failure::argument("tokens", options.tokens, "0 or 1"));
         }
-        // SAFETY: a string or NULL.
+        // SAFETY: the caller's arguments.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |fraction| reporter.fraction("weights", fraction);

@@ -5,8 +5,8 @@ use std::ffi::{CStr, c_char};
 
 type Result<T> = std::result::Result<T, Failure>;
 
-/// A structure that begins with its size, so that later versions can append fields. Zero is the
-/// default of every field: for a NULL structure and for fields missing in older ones.
+/// A structure that begins with its size, so that later versions can append fields. Zero is every
+/// field's default, also for a NULL structure and for fields missing in older ones.
 ///
 /// # Safety
 /// `repr(C)` with padding at most at the end; the first field is the u32 `struct_size`; all other
@@ -27,7 +27,7 @@ pub unsafe trait Versioned: Copy {
     }
 }
 
-/// Implements [`Versioned`] for structures of the first version of this ABI.
+/// Implements [`Versioned`] for structures unchanged since this ABI's first version.
 macro_rules! versioned {
     ($($name:ident),*) => {
         $(
@@ -48,7 +48,6 @@ fn check_size<T: Versioned>(size: usize) -> Result<()> {
 }
 
 /// # Safety
-///
 /// `pointer` points to a structure's first field.
 unsafe fn given_size<T: Versioned>(pointer: *const T) -> Result<usize> {
     // SAFETY: the size is the first field of every version.
@@ -73,7 +72,6 @@ pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T
 }
 
 /// # Safety
-///
 /// As [`read_versioned`].
 pub(super) unsafe fn read_given<T: Versioned>(pointer: *const T) -> Result<T> {
     if pointer.is_null() {
@@ -164,7 +162,6 @@ pub(super) unsafe fn produce<T>(out: *mut *mut T, body: impl FnOnce() -> Result<
 }
 
 /// # Safety
-///
 /// `handle` is NULL or came from [`produce`] and is no longer used.
 pub(super) unsafe fn destroy<T>(handle: *mut T) {
     if !handle.is_null() {
@@ -184,8 +181,24 @@ pub(super) unsafe fn borrow<'a, T>(handle: *const T, name: &str) -> Result<&'a T
     unsafe { handle.as_ref() }.ok_or_else(|| Failure::argument(name, "NULL", "an object that was created"))
 }
 
-/// Writes an output.
+/// Writes a description of an object.
 ///
+/// # Safety
+/// As [`borrow`] and [`write_versioned`].
+pub(super) unsafe fn describe<T, I: Versioned>(
+    handle: *const T,
+    name: &str,
+    info: *mut I,
+    of: impl FnOnce(&T) -> Result<I>,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: the caller's promise.
+        let found = of(unsafe { borrow(handle, name) }?)?;
+        // SAFETY: the caller's promise.
+        unsafe { write_versioned(info, found) }
+    })
+}
+
 /// # Safety
 /// `to` is NULL or writable.
 pub(super) unsafe fn put<T>(to: *mut T, value: T, name: &str) -> Result<()> {
@@ -200,7 +213,6 @@ pub(super) unsafe fn put<T>(to: *mut T, value: T, name: &str) -> Result<()> {
 /// With `count` 0 the pointer is ignored.
 ///
 /// # Safety
-///
 /// `pointer` is NULL or points to `count` elements that are not written during the call.
 pub(super) unsafe fn array<'a, T>(pointer: *const T, count: usize, name: &str) -> Result<&'a [T]> {
     check_array(pointer, count, name)?;
@@ -242,7 +254,6 @@ pub(super) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> Result<&'a 
 }
 
 /// # Safety
-///
 /// As [`text`].
 pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Result<Option<&'a str>> {
     if pointer.is_null() {

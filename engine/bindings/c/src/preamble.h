@@ -19,37 +19,34 @@
  * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
  * Only exhausted host memory ends the process.
  *
- * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_..., _to_...,
- * zs_reconstruct, zs_refine_... and zs_depth_predict. Destroy it once, on any thread, when no call
- * uses it. Destroying NULL does nothing. Objects share ownership of their dependencies, so the
- * order of destruction is free. Your own Vulkan handles must outlive every object created on them.
- * Pointer arguments are accessed only during the call unless documented otherwise. Never free a
- * pointer that a call returned to an object's memory.
+ * Ownership. The caller owns the objects that calls create. Destroy them once, on any thread and in
+ * any order, when no call uses them; destroying NULL does nothing. Your own Vulkan handles must
+ * outlive all objects created on them. Strings and arrays in outputs are in the object's memory:
+ * never free them. Pointer arguments are accessed only during the call unless documented otherwise.
  *
- * Threads. Threads can share all objects. An internal lock of each zs_renderer serializes its
- * calls; calls on one zs_model run in parallel, at the cost of memory. Callbacks run on the
- * calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares photos,
- * weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives as long
- * as the process.
+ * Threads. Threads can share all objects. A lock in each zs_renderer serializes its calls; calls on
+ * one zs_model run in parallel, at the cost of memory. Callbacks run on the calling thread; no
+ * longjmp and no C++ exception may leave them. A thread pool of RAYON_NUM_THREADS threads, by
+ * default one per core, prepares photos, weights and files. It lives as long as the process.
  *
- * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune`
- * on disk. The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
- * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
+ * Cache. The library caches self-test results of kernels, tile sizes of `zipsplat doctor tune` and
+ * LPIPS weights in the folder ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA,
+ * else .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
  * devices (zs_device_from_vulkan) and ZS_PRECISION_FP32 need no cache.
  *
  * Structures. Later versions may append fields to a structure that begins with struct_size.
- * Initialize it with ZS_INIT, in every element of an array and also for outputs: all other fields
- * are then 0 or NULL, which is the default of every field. NULL options are the defaults. A library
- * accepts structures of its own and all earlier versions with the same ZS_ABI_VERSION and rejects
- * larger ones. Other structures never change.
+ * Initialize it with ZS_INIT, also in arrays and for outputs: all other fields are then 0 or NULL,
+ * their default. Fields named `reserved` stay 0. NULL options are the defaults. A library accepts
+ * structures of its own and all earlier versions with the same ZS_ABI_VERSION and rejects larger
+ * ones. Other structures never change.
  *
- * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
- * elements, image sides in pixels.
+ * Values. Strings are UTF-8, warnings one per line. Unknown enumeration values are rejected. Sizes
+ * are in bytes, counts in elements, image sides in pixels. Existing files are replaced atomically.
  *
- * World. Axes are x right, y down, z forward. A scene from photos is in the world of their
- * cameras. Without known cameras it is in the first photo's camera space, and its scale is not
- * metric: the median distance from the first camera to visible surfaces is about 1. Scenes from
- * files and arrays keep their own world.
+ * World. Axes are x right, y down, z forward. A scene from photos is in the world of their cameras.
+ * Without known cameras it is in the first photo's camera space, and its scale is not metric: the
+ * median distance from the first camera to visible surfaces is about 1. Scenes from files and
+ * arrays keep their own world.
  *
  * Reproducibility. Equal calls on the same device and driver give bitwise equal results.
  */

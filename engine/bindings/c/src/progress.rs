@@ -6,31 +6,31 @@ use std::{
     ops::ControlFlow,
 };
 
-/// Answers of a progress callback.
+/// Answer of a progress callback.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_progress_action {
     /// Continues.
     ZS_CONTINUE = 0,
-    /// Ends a refinement early and keeps the best scene so far. Other calls are canceled.
+    /// Ends a refinement early with the best scene so far; cancels other calls.
     ZS_STOP = 1,
-    /// Cancels the call, which fails with ZS_ERROR_CANCELLED.
+    /// Cancels: the call fails with ZS_ERROR_CANCELLED.
     ZS_CANCEL = 2,
 }
 
 pub(super) type zs_progress_action_value = i32;
 
-/// Progress of a call. Refinements also set the fields from `step` on; others leave them 0.
+/// Progress of a call. Only refinements set the fields from `step` on.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_progress {
-    /// Size of this structure in the library's version.
+    /// Size in the library's version.
     pub struct_size: u32,
     /// 0.
     pub reserved: u32,
-    /// Completed fraction of the call, from 0 to 1.
+    /// Completed fraction of the call, 0 to 1.
     pub fraction: f64,
-    /// Name of the current stage, for a log; valid during the callback.
+    /// Name of the current stage.
     pub stage: *const c_char,
     /// Completed steps.
     pub step: usize,
@@ -38,7 +38,7 @@ pub struct zs_progress {
     pub steps: usize,
     /// Mean loss of the last step.
     pub loss: f64,
-    /// Latest PSNR in dB of the held-out photos; NaN without any.
+    /// Latest held-out PSNR in dB, or NaN.
     pub psnr: f64,
     /// Estimated seconds left.
     pub eta_seconds: f64,
@@ -59,7 +59,6 @@ pub(super) struct Reporter {
 }
 
 impl Reporter {
-    /// Returns the answer to `progress`.
     pub(super) fn report(self, stage: &str, progress: zs_progress) -> zs_progress_action {
         let Some(callback) = self.callback else { return zs_progress_action::ZS_CONTINUE };
         let stage = CString::new(stage).unwrap_or_default();
@@ -72,7 +71,6 @@ impl Reporter {
         }
     }
 
-    /// Reports a call without a partial result.
     pub(super) fn fraction(self, stage: &str, fraction: f64) -> ControlFlow<()> {
         match self.report(stage, zs_progress { fraction, ..Versioned::new() }) {
             zs_progress_action::ZS_CONTINUE => ControlFlow::Continue(()),

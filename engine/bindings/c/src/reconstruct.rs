@@ -17,16 +17,16 @@ use zipsplat::{
     types::preprocess::fit,
 };
 
-/// Largest number of photos of a reconstruction or a depth prediction.
+/// Maximum number of photos.
 pub const ZS_MAX_VIEWS: usize = 192;
 
 const _: () = assert!(ZS_MAX_VIEWS == MAX_VIEWS);
 
-/// Selection of the tokens kept at ratios below 1.
+/// Token selection at ratios below 1.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_token_selection {
-    /// The token nearest to each k-means centroid, as in the paper.
+    /// The token nearest to each k-means centroid.
     ZS_TOKEN_SELECTION_KMEANS = 0,
     /// Evenly spaced.
     ZS_TOKEN_SELECTION_STRIDE = 1,
@@ -39,7 +39,7 @@ pub(super) type zs_token_selection_value = i32;
 /// The paper's ratio: 0.5 sqrt(2 / number of photos).
 pub const ZS_RATIO_AUTO: f64 = -1.0;
 
-/// A scale estimated from the cameras and, if given, the capture's points.
+/// Scale estimated from the cameras and, if given, the capture's points.
 pub const ZS_SCENE_SCALE_AUTO: f64 = 0.0;
 
 /// Options of zs_reconstruct.
@@ -52,16 +52,16 @@ pub struct zs_reconstruct_options {
     pub world: zs_world_value,
     /// Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO; 0 is 1.
     pub ratio: f64,
-    /// Scene scale: the length in units of `cameras` that the network treats as 1, or
-    /// ZS_SCENE_SCALE_AUTO. The network expects a median distance of about 1 from the first camera.
+    /// Length in units of `cameras` that the network treats as 1, or ZS_SCENE_SCALE_AUTO. The
+    /// network expects a median distance of about 1 from the first camera.
     pub scene_scale: f64,
-    /// Selection of the kept tokens.
+    /// Token selection.
     pub token_selection: zs_token_selection_value,
     /// Pooling for many photos: cross-view attention reads means of `kv_pool` x `kv_pool` patches,
     /// 1 to 4; 0 is 1. Larger values are faster and less exact.
     pub kv_pool: u32,
-    /// Width and height of the network's input, multiples of the patch size: photos are
-    /// center-cropped and resized. 0 and 0 are the model's own.
+    /// Width and height of the network's input, multiples of the patch size; 0 and 0 are the
+    /// model's own. Photos are center-cropped and resized.
     pub input_size: [u32; 2],
     /// Seed for ZS_TOKEN_SELECTION_RANDOM.
     pub seed: u64,
@@ -73,8 +73,7 @@ pub struct zs_reconstruct_options {
     pub progress: zs_progress_callback,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras`
-    /// alone.
+    /// Capture whose points and cameras give ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     pub capture: *const zs_capture,
 }
 
@@ -90,10 +89,10 @@ pub unsafe extern "C" fn zs_reconstruct(
     reconstruction: *mut *mut zs_reconstruction,
 ) -> zs_status {
     let reconstruct = || {
-        // SAFETY: an object or NULL; a structure or NULL.
+        // SAFETY: the caller's arguments.
         let (zs_model { model, head, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         check_view_count(image_count)?;
-        // SAFETY: the caller's arrays; an object or NULL.
+        // SAFETY: the caller's arguments.
         let (images, cameras, capture) = unsafe {
             let images = read_array(images, image_count, "images")?;
             (images, read_array(options.cameras, options.camera_count, "cameras")?, options.capture.as_ref())

@@ -2,9 +2,9 @@
 
 use super::{
     camera::zs_camera,
-    pointers::{Versioned, borrow, destroy, produce, write_versioned},
+    pointers::{Versioned, borrow, describe, destroy, produce},
     scene::zs_scene,
-    status::{Failure, guard, zs_status},
+    status::{Failure, zs_status},
 };
 use std::{
     ffi::{CString, c_char},
@@ -13,7 +13,7 @@ use std::{
 };
 use zipsplat::{Error, Reconstruction, Result, Scene, gpu::Arena, reconstruct::SceneTokens, refine::FrozenHead};
 
-/// Gaussians of a reconstruction on its device, with their relation to the photos.
+/// A reconstruction's Gaussians on its device, with their relation to the photos.
 pub struct zs_reconstruction {
     pub(super) made: Reconstruction,
     pub(super) tokens: Option<ModelTokens>,
@@ -28,16 +28,16 @@ pub(super) struct ModelTokens {
     pub head: Arc<FrozenHead>,
 }
 
-/// A camera, if found, and its numbers of inliers and patches.
+/// Camera, if found, number of inliers, number of patches.
 struct Estimate(Option<zs_camera>, u32, u32);
 
-/// Properties of a reconstruction.
+/// Description of a reconstruction.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_reconstruction_info {
     /// sizeof(zs_reconstruction_info).
     pub struct_size: u32,
-    /// 1 if its tokens can be refined.
+    /// 1 if ZS_REFINE_TARGET_TOKENS is possible.
     pub has_tokens: u32,
     /// Number of photos.
     pub view_count: usize,
@@ -45,7 +45,7 @@ pub struct zs_reconstruction_info {
     pub token_count: usize,
     /// Number of Gaussians.
     pub gaussian_count: usize,
-    /// Warnings, one per line, in the reconstruction's memory.
+    /// Warnings.
     pub warnings: *const c_char,
 }
 
@@ -61,8 +61,7 @@ pub struct zs_camera_estimate {
     pub patches: u32,
     /// 0.
     pub reserved: u32,
-    /// Camera of the whole photo in the scene's world, in the reconstruction's memory; NULL without
-    /// an estimate.
+    /// Camera of the whole photo in the scene's world; NULL without an estimate.
     pub camera: *const zs_camera,
 }
 
@@ -108,20 +107,18 @@ pub unsafe extern "C" fn zs_reconstruction_get_info(
     reconstruction: *const zs_reconstruction,
     info: *mut zs_reconstruction_info,
 ) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let zs_reconstruction { made, tokens, warnings, .. } = unsafe { borrow(reconstruction, "reconstruction") }?;
-        let found = zs_reconstruction_info {
+    let of = |zs_reconstruction { made, tokens, warnings, .. }: &zs_reconstruction| {
+        Ok(zs_reconstruction_info {
             has_tokens: tokens.is_some().into(),
             view_count: made.placement.as_ref().map_or(0, |placement| placement.maps.len()),
             token_count: made.tokens,
             gaussian_count: made.gaussians.len(),
             warnings: warnings.as_ptr(),
             ..Versioned::new()
-        };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, found) }
-    })
+        })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(reconstruction, "reconstruction", info, of) }
 }
 
 /// Reads the scene from the device.
@@ -130,31 +127,30 @@ pub unsafe extern "C" fn zs_reconstruction_to_scene(
     reconstruction: *const zs_reconstruction,
     scene: *mut *mut zs_scene,
 ) -> zs_status {
-    // SAFETY: an object or NULL.
+    // SAFETY: the caller's arguments.
     let read = || Ok(unsafe { borrow(reconstruction, "reconstruction") }?.scene()?.clone().into());
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, read) }
 }
 
-/// Estimates the camera of photo `index` from the Gaussians of its patches. The first call
-/// estimates all, with one field of view. Fails if no photo has an estimate, or for known cameras.
+/// Estimates the camera of photo `index` from its patches' Gaussians. The first call estimates all,
+/// with one field of view. Fails if no photo has an estimate, or for known cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     reconstruction: *const zs_reconstruction,
     index: usize,
     estimate: *mut zs_camera_estimate,
 ) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let estimates = unsafe { borrow(reconstruction, "reconstruction") }?.estimates()?;
+    let of = |reconstruction: &zs_reconstruction| {
+        let estimates = reconstruction.estimates()?;
         let expected = || format!("a number below {}", estimates.len());
         let Estimate(camera, inliers, patches) =
             estimates.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
         let camera = camera.as_ref().map_or(null(), |camera| &raw const *camera);
-        let found = zs_camera_estimate { inliers: *inliers, patches: *patches, camera, ..Versioned::new() };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(estimate, found) }
-    })
+        Ok(zs_camera_estimate { inliers: *inliers, patches: *patches, camera, ..Versioned::new() })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(reconstruction, "reconstruction", estimate, of) }
 }
 
 /// Destroys a reconstruction.

@@ -1,4 +1,4 @@
-//! Refinement: optimizes a scene to match photos.
+//! Refinement of a scene to match photos.
 
 use super::{
     camera::zs_camera,
@@ -33,13 +33,13 @@ pub enum zs_refine_target {
 
 pub(super) type zs_refine_target_value = i32;
 
-/// Reasons for the end of a refinement.
+/// Reason for the end of a refinement.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_stop_reason {
     /// All steps completed.
     ZS_STOP_REASON_FINISHED = 0,
-    /// Progress callback returned ZS_STOP.
+    /// The progress callback returned ZS_STOP.
     ZS_STOP_REASON_STOPPED = 1,
     /// The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
@@ -47,21 +47,21 @@ pub enum zs_stop_reason {
 
 pub(super) type zs_stop_reason_value = i32;
 
-/// Options of zs_refine_scene and zs_refine_reconstruction.
+/// Options of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_options {
     /// sizeof(zs_refine_options).
     pub struct_size: u32,
-    /// Optimizer steps; 0: `seconds`.
+    /// Optimizer steps; 0 uses `seconds`.
     pub steps: u32,
     /// Photos per step, capped at the number of training photos; 0 is 4.
     pub views_per_step: u32,
-    /// Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds
+    /// Number of evenly spaced held-out photos, less than all, or ZS_HOLDOUT_VIEWS_NONE; 0 holds
     /// out one photo of 40 or more. The step with their best PSNR is returned.
     pub holdout_views: i32,
-    /// Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
-    /// UINT32_MAX keeps full size.
+    /// Maximum width and height in pixels; larger photos are downscaled. 0 is 1600, UINT32_MAX
+    /// keeps full size.
     pub max_image_size: [u32; 2],
     /// Optimized parameters.
     pub target: zs_refine_target_value,
@@ -69,20 +69,20 @@ pub struct zs_refine_options {
     pub optimize_cameras: u32,
     /// Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
     pub perceptual_weight: f32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
     /// Seed of the photo order and of growth.
     pub seed: u64,
-    /// Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on,
-    /// to one per 32 pixels of the photos and at most 16 times the scene's. For
-    /// ZS_REFINE_TARGET_TOKENS 0.
+    /// Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 300
+    /// steps on, to one per 32 pixels of the photos and at most 16 times the scene's. Must be 0
+    /// for tokens.
     pub max_gaussians: usize,
     /// Progress callback, called after each step.
     pub progress: zs_progress_callback,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Time to spend instead of `steps`, about; 0 without `steps` is 60. The steps and the photos'
-    /// size follow from the measured time of a few.
+    /// Approximate duration instead of `steps`; 0 without `steps` is 60. A few timed steps
+    /// determine the number of steps and the photos' size.
     pub seconds: f64,
 }
 
@@ -98,11 +98,11 @@ pub struct zs_refine_result {
     pub steps: u32,
     /// Step of the returned scene; 0 if none improved it.
     pub best_step: u32,
-    /// Mean loss of the first step, at its resolution; NaN without a step.
+    /// Mean loss of the first step, at its resolution, or NaN.
     pub initial_loss: f64,
     /// Mean loss of the last step, likewise.
     pub final_loss: f64,
-    /// Held-out PSNR in dB before the first step; NaN without held-out photos.
+    /// Held-out PSNR in dB before the first step, or NaN.
     pub initial_psnr: f64,
     /// Held-out PSNR in dB of the returned scene.
     pub best_psnr: f64,
@@ -110,9 +110,9 @@ pub struct zs_refine_result {
     pub seconds: f64,
     /// Mean PSNR in dB of up to 16 full-size training photos before the first step.
     pub initial_training_psnr: f64,
-    /// PSNR in dB of the same photos for the returned scene.
+    /// The same for the returned scene.
     pub best_training_psnr: f64,
-    /// Output array for the cameras of all photos, with struct_size set, or NULL.
+    /// Output array for all photos' cameras, with struct_size set, or NULL.
     pub cameras: *mut zs_camera,
 }
 
@@ -133,7 +133,7 @@ pub unsafe extern "C" fn zs_refine_scene(
     refined: *mut *mut zs_scene,
 ) -> zs_status {
     let refine = || {
-        // SAFETY: objects or NULL; structures or NULL; arrays of the caller's.
+        // SAFETY: the caller's arguments.
         let (device, scene, inputs) = unsafe {
             let (device, scene) = (borrow(device, "device")?, borrow(scene, "scene")?);
             (device, scene, Inputs::read(images, cameras, count, options, result)?)
@@ -154,7 +154,7 @@ pub unsafe extern "C" fn zs_refine_scene(
     unsafe { produce(refined, refine) }
 }
 
-/// Optimizes the Gaussians or tokens of a reconstruction, as zs_refine_scene.
+/// As zs_refine_scene, for the Gaussians or tokens of a reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine_reconstruction(
     reconstruction: *const zs_reconstruction,
@@ -166,7 +166,7 @@ pub unsafe extern "C" fn zs_refine_reconstruction(
     refined: *mut *mut zs_scene,
 ) -> zs_status {
     let refine = || {
-        // SAFETY: an object or NULL; structures or NULL; arrays of the caller's.
+        // SAFETY: the caller's arguments.
         let (reconstruction, inputs) = unsafe {
             let reconstruction = borrow(reconstruction, "reconstruction")?;
             (reconstruction, Inputs::read(images, cameras, count, options, result)?)

@@ -18,8 +18,7 @@ use zipsplat::{
     stages::render::{Differentiator, MAX_SIDE},
 };
 
-/// A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
-/// output. An internal lock serializes calls, so that threads can share it.
+/// A scene on a device. Caches recordings for the last four sizes and kinds of output.
 pub struct zs_renderer {
     pub(super) adopted: bool,
     renderer: Mutex<Renderer>,
@@ -38,7 +37,6 @@ impl zs_renderer {
         self.scene.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// Resets the value after a panic.
     pub(super) fn differentiator(&self) -> MutexGuard<'_, Option<Differentiator>> {
         self.differentiator.lock().unwrap_or_else(|poisoned| {
             let mut found = poisoned.into_inner();
@@ -48,11 +46,11 @@ impl zs_renderer {
     }
 }
 
-/// Kinds of depth along the camera's z axis, in world units.
+/// Depth along the camera's z axis, in world units.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_depth_mode {
-    /// Expected depth: the blended depth divided by alpha; 0 where alpha is 0.
+    /// Blended depth divided by alpha; 0 where alpha is 0.
     ZS_DEPTH_MODE_EXPECTED = 0,
     /// Sum of depth times blending weight.
     ZS_DEPTH_MODE_ACCUMULATED = 1,
@@ -60,14 +58,14 @@ pub enum zs_depth_mode {
 
 pub(super) type zs_depth_mode_value = i32;
 
-/// Options of zs_render.
+/// Options of pictures.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_render_options {
     /// sizeof(zs_render_options).
     pub struct_size: u32,
-    /// Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
-    /// Color includes the background's part; on black it is premultiplied.
+    /// 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged. Color includes the
+    /// background's part; on black it is premultiplied.
     pub format: zs_pixel_format_value,
     /// Kind of zs_render_buffers.depth.
     pub depth: zs_depth_mode_value,
@@ -75,8 +73,8 @@ pub struct zs_render_options {
     pub antialiased: u32,
     /// Background as red, green, blue.
     pub background: [f32; 3],
-    /// Near plane: Gaussians at smaller camera depth are culled. 0 is 0.01, or less for
-    /// scenes with an extent below 0.1.
+    /// Culls Gaussians at smaller camera depth. 0 is 0.01, or less for scenes with an extent below
+    /// 0.1.
     pub near_plane: f32,
 }
 
@@ -86,15 +84,15 @@ pub struct zs_render_options {
 pub struct zs_render_buffers {
     /// sizeof(zs_render_buffers).
     pub struct_size: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
-    /// As zs_image.stride; padding between rows stays unchanged.
+    /// As zs_image.stride; padding stays unchanged.
     pub stride: i64,
     /// As zs_image.pixels, in the options' format.
     pub pixels: *mut c_void,
-    /// height x width: alpha from 0 to 1.
+    /// height x width: 0 to 1.
     pub alpha: *mut f32,
-    /// height x width: depth in world units.
+    /// height x width, in world units.
     pub depth: *mut f32,
     /// height x width x 3: unit normals in the world, toward the camera; 0 where empty.
     pub normals: *mut f32,
@@ -104,7 +102,7 @@ versioned!(zs_render_options, zs_render_buffers);
 
 const PIXELS_AT_ONCE: u64 = 1 << 24;
 
-/// Creates a renderer. `scene` is uploaded; NULL sets none yet.
+/// Creates a renderer and uploads `scene`, which may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_create(
     device: *const zs_device,
@@ -112,7 +110,7 @@ pub unsafe extern "C" fn zs_renderer_create(
     renderer: *mut *mut zs_renderer,
 ) -> zs_status {
     let create = || {
-        // SAFETY: objects or NULL.
+        // SAFETY: the caller's arguments.
         let (zs_device { gpu, adopted }, scene) = unsafe { (borrow(device, "device")?, scene.as_ref()) };
         let renderer = zs_renderer {
             adopted: *adopted,
@@ -138,23 +136,23 @@ impl zs_renderer {
     }
 }
 
-/// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, set a
+/// Replaces the scene, cheaply for an equal number of Gaussians and degree. After a failure, set a
 /// scene successfully before drawing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *mut zs_renderer, scene: *const zs_scene) -> zs_status {
-    // SAFETY: objects or NULL.
+    // SAFETY: the caller's arguments.
     guard(|| unsafe { borrow(renderer, "renderer")?.set(borrow(scene, "scene")?.scene.clone()) })
 }
 
-/// Replaces the scene by a reconstruction's Gaussians, which stay on the device unless they are in
-/// the world of known cameras.
+/// Replaces the scene by a reconstruction's Gaussians, without a copy to the host unless they are
+/// in the world of known cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_set_reconstruction(
     renderer: *mut zs_renderer,
     reconstruction: *const zs_reconstruction,
 ) -> zs_status {
     guard(|| {
-        // SAFETY: objects or NULL.
+        // SAFETY: the caller's arguments.
         let (renderer, reconstruction) =
             unsafe { (borrow(renderer, "renderer")?, borrow(reconstruction, "reconstruction")?) };
         let mut current = renderer.scene();
@@ -164,19 +162,19 @@ pub unsafe extern "C" fn zs_renderer_set_reconstruction(
     })
 }
 
-/// Replaces the scene by copies of arrays, for optimizers: without a zs_scene, and in place for an
-/// equal number of Gaussians and degree. Otherwise as zs_scene_create and zs_renderer_set_scene.
+/// As zs_scene_create and zs_renderer_set_scene, without a zs_scene, for optimizers. An equal
+/// number of Gaussians and degree is updated in place.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_update_gaussians(
     renderer: *mut zs_renderer,
     gaussians: *const zs_gaussians,
 ) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL; the caller's structure.
+        // SAFETY: the caller's arguments.
         let (renderer, gaussians) = unsafe { (borrow(renderer, "renderer")?, read_given(gaussians)?) };
         let mut current = renderer.scene();
         let mut scene = current.take().and_then(|scene| Arc::try_unwrap(scene).ok()).unwrap_or_default();
-        // SAFETY: arrays of the structure's sizes.
+        // SAFETY: the caller's arguments.
         unsafe { gaussians.copy_to(&mut scene) }?;
         renderer.lock().set_scene(&scene)?;
         *current = Some(Arc::new(scene));
@@ -191,7 +189,7 @@ pub unsafe extern "C" fn zs_renderer_destroy(renderer: *mut zs_renderer) {
     unsafe { destroy(renderer) }
 }
 
-/// Draws one picture per camera. After a failure some pictures may be written.
+/// Draws a picture per camera. After a failure some pictures may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render(
     renderer: *const zs_renderer,
@@ -201,7 +199,7 @@ pub unsafe extern "C" fn zs_render(
     options: *const zs_render_options,
 ) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL; a structure or NULL; arrays of the caller's.
+        // SAFETY: the caller's arguments.
         let (renderer, options, cameras, pictures) = unsafe {
             let (cameras, pictures) =
                 (read_array(cameras, count, "cameras")?, read_array(pictures, count, "pictures")?);
@@ -265,7 +263,6 @@ impl zs_render_options {
         Ok(RenderOptions { normals, ..self.outputs(rgb, alpha, depth)? })
     }
 
-    /// Returns options for these outputs.
     pub(super) fn outputs(&self, rgb: bool, alpha: bool, wants_depth: bool) -> Result<RenderOptions, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,
@@ -286,7 +283,7 @@ impl zs_render_options {
 
 impl zs_render_buffers {
     /// # Safety
-    /// Pointers that are not NULL have capacity for the frame.
+    /// Non-NULL pointers have capacity for the frame.
     unsafe fn write(&self, frame: &RenderOutput, format: zs_pixel_format, stride: isize) -> Result<(), Failure> {
         let planes = [
             ("alpha", self.alpha, &frame.alpha),

@@ -1,10 +1,10 @@
-//! Scenes: Gaussians from and to arrays, files and bytes.
+//! Scenes in arrays, files and bytes.
 
 use super::{
     camera::zs_camera,
     pointers::{
-        Versioned, array, borrow, destroy, optional_text, produce, put, read_array, read_given, read_versioned, text,
-        write_versioned,
+        Versioned, array, borrow, describe, destroy, optional_text, produce, put, read_array, read_given,
+        read_versioned, text,
     },
     status::{Failure, guard, zs_status},
 };
@@ -17,7 +17,7 @@ use zipsplat::{
     types::{Origin, PointCloud, SceneFormat, World, read_world},
 };
 
-/// 3D Gaussians in host memory. Independent of devices; survives device loss.
+/// 3D Gaussians in host memory, which survive device loss.
 pub struct zs_scene {
     pub(super) scene: Arc<Scene>,
     /// World of a file's scene, if stored.
@@ -47,7 +47,7 @@ impl From<Arc<Scene>> for zs_scene {
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_world {
-    /// ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
+    /// ZS_WORLD_INPUT_CAMERAS with known cameras, else ZS_WORLD_FIRST_CAMERA.
     ZS_WORLD_AUTO = 0,
     /// The first photo's camera space.
     ZS_WORLD_FIRST_CAMERA = 1,
@@ -57,7 +57,7 @@ pub enum zs_world {
 
 pub(super) type zs_world_value = i32;
 
-/// Bytes owned by the library, such as an encoded scene file.
+/// Bytes of the library, such as an encoded scene file.
 pub struct zs_blob {
     bytes: Vec<u8>,
 }
@@ -81,14 +81,14 @@ pub struct zs_gaussians {
     /// N opacities from 0 to 1.
     pub opacities: *const f32,
     /// N x K x 3 coefficients of spherical harmonics for red, green, blue, as in 3D Gaussian
-    /// Splatting. The basis is real and orthonormal, by band, then m = -l to l, negative for odd m.
-    /// It begins with 0.282095, -0.488603 y, 0.488603 z, -0.488603 x. (x, y, z) is the unit vector
-    /// in the world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis
-    /// times coefficients).
+    /// Splatting. The basis is real and orthonormal, by band, then m = -l to l, negative for odd m:
+    /// 0.282095, -0.488603 y, 0.488603 z, -0.488603 x, ... for the unit vector (x, y, z) in the
+    /// world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis times
+    /// coefficients).
     pub sh_coeffs: *const f32,
 }
 
-/// Options of zs_scene_save.
+/// Options for writing scenes.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_scene_save_options {
@@ -98,7 +98,7 @@ pub struct zs_scene_save_options {
     pub spz_version: u32,
 }
 
-/// Options of zs_scene_open and zs_scene_from_memory.
+/// Options for reading scenes.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_scene_open_options {
@@ -106,22 +106,21 @@ pub struct zs_scene_open_options {
     pub struct_size: u32,
     /// 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     pub drop_invalid: u32,
-    /// Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat"
-    /// or "gltf". NULL for files.
+    /// Format in memory: "splat" or "gltf"; others are recognized by content. NULL for files.
     pub format: *const c_char,
 }
 
-/// Properties of a scene.
+/// Description of a scene.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_scene_info {
     /// sizeof(zs_scene_info).
     pub struct_size: u32,
-    /// World that the file states; ZS_WORLD_AUTO if it states none.
+    /// World that the file states, or ZS_WORLD_AUTO.
     pub world: zs_world_value,
     /// Number of Gaussians.
     pub gaussian_count: usize,
-    /// Number of Gaussians dropped by zs_scene_open_options.drop_invalid.
+    /// Number of Gaussians dropped by `drop_invalid`.
     pub dropped_count: usize,
 }
 
@@ -130,27 +129,23 @@ versioned!(zs_gaussians, zs_scene_save_options, zs_scene_open_options, zs_scene_
 /// Describes a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_info(scene: *const zs_scene, info: *mut zs_scene_info) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let zs_scene { scene, world, dropped } = unsafe { borrow(scene, "scene") }?;
+    let of = |zs_scene { scene, world, dropped }: &zs_scene| {
         let world = match world.as_ref().map(|world| &world.origin) {
             None => zs_world::ZS_WORLD_AUTO,
             Some(Origin::Photo(_)) => zs_world::ZS_WORLD_FIRST_CAMERA,
             Some(Origin::Cameras(_)) => zs_world::ZS_WORLD_INPUT_CAMERAS,
         } as i32;
-        let found = zs_scene_info { world, gaussian_count: scene.len(), dropped_count: *dropped, ..Versioned::new() };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, found) }
-    })
+        Ok(zs_scene_info { world, gaussian_count: scene.len(), dropped_count: *dropped, ..Versioned::new() })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(scene, "scene", info, of) }
 }
 
-/// Returns the scene's size and arrays, which point into the scene.
+/// Returns the scene's arrays.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussians: *mut zs_gaussians) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let scene = &unsafe { borrow(scene, "scene") }?.scene;
-        let found = zs_gaussians {
+    let of = |zs_scene { scene, .. }: &zs_scene| {
+        Ok(zs_gaussians {
             sh_degree: scene.sh_degree,
             count: scene.len(),
             means: scene.means.as_ptr().cast(),
@@ -159,10 +154,10 @@ pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussian
             opacities: scene.opacities.as_ptr(),
             sh_coeffs: scene.sh_coeffs.as_ptr().cast(),
             ..Versioned::new()
-        };
-        // SAFETY: the caller's structure.
-        unsafe { write_versioned(gaussians, found) }
-    })
+        })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(scene, "scene", gaussians, of) }
 }
 
 /// Creates a scene from copies of arrays. All are required, with finite values in their range.
@@ -170,7 +165,7 @@ pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussian
 pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: *mut *mut zs_scene) -> zs_status {
     let create = || {
         let mut scene = Scene::default();
-        // SAFETY: the caller's structure, and arrays of its sizes.
+        // SAFETY: the caller's arguments.
         unsafe { read_given(gaussians)?.copy_to(&mut scene) }?;
         scene.validate()?;
         Ok(scene.into())
@@ -186,7 +181,7 @@ impl zs_gaussians {
     /// Copies the arrays, in place if `scene` has as many Gaussians. Values are unchecked.
     ///
     /// # Safety
-    /// The arrays are NULL or have the documented lengths.
+    /// Pointers are NULL or have the documented lengths.
     pub(super) unsafe fn copy_to(&self, scene: &mut Scene) -> Result<(), Failure> {
         if self.sh_degree > Scene::MAX_SH_DEGREE {
             let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
@@ -215,7 +210,7 @@ impl zs_gaussians {
 }
 
 /// Creates a scene with a Gaussian per point, as an initialization for zs_refine_scene. `positions`
-/// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the
+/// is N x 3; `colors` is N x 3 in red, green, blue, or NULL for gray. `cameras` limit the
 /// Gaussians' sizes; their count may be 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_points(
@@ -246,7 +241,7 @@ pub unsafe extern "C" fn zs_scene_from_points(
     unsafe { produce(scene, create) }
 }
 
-/// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
+/// Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
 /// KHR_gaussian_splatting (.gltf, .glb).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(
@@ -255,7 +250,7 @@ pub unsafe extern "C" fn zs_scene_open(
     scene: *mut *mut zs_scene,
 ) -> zs_status {
     let open = || {
-        // SAFETY: a string or NULL, a structure or NULL.
+        // SAFETY: the caller's arguments.
         let (path, options) = unsafe { (text(path, "path")?, read_versioned(options)?) };
         if !options.format.is_null() {
             return Err(Failure::argument("format", "one for a file", "NULL: files are recognized"));
@@ -267,8 +262,7 @@ pub unsafe extern "C" fn zs_scene_open(
     unsafe { produce(scene, open) }
 }
 
-/// Decodes a scene from `size` bytes at `data`, as zs_scene_open. A glTF must not refer to other
-/// files.
+/// As zs_scene_open, from memory. A glTF must not refer to other files.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_memory(
     data: *const c_void,
@@ -277,7 +271,7 @@ pub unsafe extern "C" fn zs_scene_from_memory(
     scene: *mut *mut zs_scene,
 ) -> zs_status {
     let decode = || {
-        // SAFETY: the caller's array of that size, a structure or NULL, and a string or NULL.
+        // SAFETY: the caller's arguments.
         let (bytes, options, format) = unsafe {
             let options = read_versioned(options)?;
             (array(data.cast::<u8>(), size, "bytes of a scene")?, options, optional_text(options.format, "format")?)
@@ -318,8 +312,8 @@ fn format_named(name: &str) -> Result<SceneFormat, Failure> {
     SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
 }
 
-/// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
-/// existing file is replaced atomically. The world of an opened file is kept.
+/// Writes a scene in the format of the extension: .ply, .spz, .splat, .gltf or .glb. An opened
+/// file's world is kept.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_save(
     scene: *const zs_scene,
@@ -327,14 +321,14 @@ pub unsafe extern "C" fn zs_scene_save(
     options: *const zs_scene_save_options,
 ) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
+        // SAFETY: the caller's arguments.
         let (scene, path, options) =
             unsafe { (borrow(scene, "scene")?, text(path, "path")?, read_versioned(options)?) };
         Ok(scene.scene.save_in(path, &options.engine(), scene.world.as_ref())?)
     })
 }
 
-/// Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb".
+/// Encodes a scene as "ply", "spz", "splat", "gltf" or "glb".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_to_memory(
     scene: *const zs_scene,
@@ -343,7 +337,7 @@ pub unsafe extern "C" fn zs_scene_to_memory(
     bytes: *mut *mut zs_blob,
 ) -> zs_status {
     let encode = || {
-        // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
+        // SAFETY: the caller's arguments.
         let (scene, format, options) =
             unsafe { (borrow(scene, "scene")?, text(format, "format")?, read_versioned(options)?) };
         Ok(zs_blob { bytes: scene.scene.encode(format_named(format)?, &options.engine())? })
@@ -352,11 +346,11 @@ pub unsafe extern "C" fn zs_scene_to_memory(
     unsafe { produce(bytes, encode) }
 }
 
-/// Returns address and size of the bytes, which belong to the object.
+/// Returns the bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_blob_get(bytes: *const zs_blob, data: *mut *const c_void, size: *mut usize) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL.
+        // SAFETY: the caller's arguments.
         let found = &unsafe { borrow(bytes, "bytes") }?.bytes;
         // SAFETY: the caller's to write, or NULL.
         unsafe { put(data, found.as_ptr().cast(), "data").and_then(|()| put(size, found.len(), "size")) }

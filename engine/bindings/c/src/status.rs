@@ -8,7 +8,7 @@ use std::{
 };
 use zipsplat::Error;
 
-/// Result of a call. Later versions may add values: treat unknown ones as failures.
+/// Result of a call. Treat unknown values as failures.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_status {
@@ -24,18 +24,18 @@ pub enum zs_status {
     ZS_ERROR_WEIGHTS = 4,
     /// No Vulkan loader, driver or suitable device.
     ZS_ERROR_NO_DEVICE = 5,
-    /// Too little device or host memory. Nothing was submitted.
+    /// Too little device or host memory; nothing was submitted.
     ZS_ERROR_OUT_OF_MEMORY = 6,
     /// The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    /// The device was reset or removed. Destroy every object of its device and create a new one.
-    /// Scenes survive.
+    /// The device was reset or removed. Destroy all its objects and create a new one. Scenes
+    /// survive.
     ZS_ERROR_DEVICE_LOST = 8,
-    /// The progress callback canceled.
+    /// The progress callback canceled the call.
     ZS_ERROR_CANCELLED = 9,
-    /// Not available in this build of the library.
+    /// Not available in this build.
     ZS_ERROR_UNSUPPORTED = 10,
-    /// A bug in the library. Destroy the objects of this call; others stay usable.
+    /// A bug in the library. Destroy the call's objects; others stay usable.
     ZS_ERROR_INTERNAL = 11,
 }
 
@@ -56,15 +56,15 @@ pub(super) const STATUSES: [(zs_status, &CStr); 12] = [
     (ZS_ERROR_INTERNAL, c"ZS_ERROR_INTERNAL"),
 ];
 
-/// Returns the name of a status, "unknown status" for an unknown number.
+/// Returns a status's name, or "unknown status".
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
     let known = STATUSES.iter().find(|(known, _)| *known as i32 == status);
     known.map_or(c"unknown status", |(_, name)| name).as_ptr()
 }
 
-/// Returns the message of the calling thread's last failure, or "". The pointer stays valid until
-/// the thread ends; the next failure overwrites the text, of at most 16 KiB.
+/// Returns the message of the calling thread's last failure, or "", of at most 16 KiB. The pointer
+/// stays valid until the thread ends; the next failure overwrites the text.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.0.as_ptr().cast()).unwrap_or(c"".as_ptr())
@@ -73,7 +73,7 @@ pub extern "C" fn zs_last_error() -> *const c_char {
 /// A thread's message at a fixed address. Cells, because C may hold the pointer during a write.
 struct Message(Box<[Cell<u8>]>);
 
-/// Capacity of a message in bytes, including NUL.
+/// Bytes, including NUL.
 const MAX_MESSAGE: usize = 16 << 10;
 
 impl Message {

@@ -17,16 +17,15 @@ use zipsplat::{
     stages::render::PixelLayout,
 };
 
-/// Kinds of zs_vulkan_requirement.
+/// Kind of a zs_vulkan_requirement.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_requirement_kind {
-    /// `name` is the minimum API version, as "1.3", for VkApplicationInfo.apiVersion and the
-    /// device.
+    /// `name` is the minimum API version, as "1.3", of VkApplicationInfo and the device.
     ZS_REQUIRES_API_VERSION = 0,
     /// `name` is a device extension.
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
-    /// `name` is a field of `structure` to set to VK_TRUE in the VkDeviceCreateInfo chain.
+    /// `name` is a field of `structure` to set to VK_TRUE at device creation.
     ZS_REQUIRES_FEATURE = 2,
 }
 
@@ -36,12 +35,12 @@ pub(super) type zs_requirement_kind_value = i32;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_requirement {
-    /// Kind of the requirement.
+    /// Kind.
     pub kind: zs_requirement_kind_value,
     /// 1 if only faster precisions need it. Enable all that the device supports, then set
     /// zs_vulkan_device.optional_features_enabled.
     pub optional: u32,
-    /// Name as Vulkan has it; static.
+    /// Vulkan's name; static.
     pub name: *const c_char,
     /// Static; "" unless a feature.
     pub structure: *const c_char,
@@ -50,7 +49,7 @@ pub struct zs_vulkan_requirement {
 /// vkGetInstanceProcAddr, cast to a function without arguments.
 pub type zs_vulkan_function = Option<unsafe extern "C" fn()>;
 
-/// Locks or unlocks a queue. Must return and must not call this library.
+/// Locks or unlocks a queue. Must not call this library.
 pub type zs_queue_lock = Option<unsafe extern "C" fn(user_data: *mut c_void)>;
 
 /// Borrowed Vulkan handles, never destroyed.
@@ -71,9 +70,8 @@ pub struct zs_vulkan_device {
     pub device: *mut c_void,
     /// VkQueue. Submissions happen only on calling threads.
     pub queue: *mut c_void,
-    /// Called on the submitting thread before each submission to `queue`, and `unlock_queue` right
-    /// after it. The lock is never held while waiting. Do not hold it when calling the library.
-    /// NULL if the queue is not shared during calls.
+    /// Called before each submission to `queue`, and `unlock_queue` right after it, on the same
+    /// thread. Do not hold the lock when calling the library. NULL if the queue is not shared.
     pub lock_queue: zs_queue_lock,
     /// NULL exactly if `lock_queue` is.
     pub unlock_queue: zs_queue_lock,
@@ -81,7 +79,7 @@ pub struct zs_vulkan_device {
     pub user_data: *mut c_void,
     /// 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_FP32.
     pub optional_features_enabled: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
     /// As zs_device_options.cache_dir.
     pub cache_dir: *const c_char,
@@ -91,39 +89,39 @@ pub struct zs_vulkan_device {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_semaphore_point {
-    /// VkSemaphore of type timeline, cast to uint64_t.
+    /// Timeline VkSemaphore, cast to uint64_t.
     pub semaphore: u64,
     /// Value to wait for or to signal.
     pub value: u64,
 }
 
-/// A caller's image or buffer as a copy destination. Handles are cast to uint64_t. They must
-/// outlive the signals or, without signals, the renderer.
+/// A caller's image or buffer as a copy destination. Handles are cast to uint64_t and must outlive
+/// the signals or, without signals, the renderer.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_target {
     /// sizeof(zs_vulkan_target).
     pub struct_size: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
-    /// VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format of the
-    /// zs_pixel_format, owned by the queue's family or shared. 0 for a buffer.
+    /// VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the zs_pixel_format's format,
+    /// owned by the queue's family or shared. 0 for a buffer.
     pub image: u64,
-    /// First column to write; the camera's size must fit from there.
+    /// First column; the camera's size must fit from there.
     pub x: u32,
-    /// First row to write.
+    /// First row.
     pub y: u32,
     /// Mip level.
     pub mip_level: u32,
     /// Array layer.
     pub array_layer: u32,
-    /// VkImageLayout after the waits; VK_IMAGE_LAYOUT_UNDEFINED may discard contents.
+    /// VkImageLayout after the waits.
     pub old_layout: i32,
     /// VkImageLayout at the signals; 0 is VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     pub new_layout: i32,
     /// VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     pub buffer: u64,
-    /// First byte in the buffer, a multiple of 4.
+    /// First byte, a multiple of 4.
     pub buffer_offset: u64,
     /// Writable bytes from there.
     pub buffer_size: u64,
@@ -131,7 +129,7 @@ pub struct zs_vulkan_target {
     pub wait_count: usize,
     /// Number of `signals`.
     pub signal_count: usize,
-    /// Semaphore values to wait for before writing.
+    /// Waited for before writing.
     pub waits: *const zs_semaphore_point,
     /// Signaled when the picture is written and visible.
     pub signals: *const zs_semaphore_point,
@@ -139,7 +137,6 @@ pub struct zs_vulkan_target {
 
 versioned!(zs_vulkan_device, zs_vulkan_target);
 
-/// VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
 const SHADER_READ_ONLY: i32 = 5;
 
 struct Requirements(Vec<zs_vulkan_requirement>);
@@ -163,7 +160,7 @@ static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
     Requirements(needed.chain(optional).map(entry).collect())
 });
 
-/// Lists required and optional features for zs_device_from_vulkan. Needs no device.
+/// Lists the requirements of zs_device_from_vulkan.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_requirements(
     list: *mut *const zs_vulkan_requirement,
@@ -176,8 +173,7 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     })
 }
 
-/// Creates a device on the caller's Vulkan device. All required features must be enabled; this
-/// cannot be checked.
+/// Adopts the caller's device. All required features must be enabled; this cannot be checked.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_from_vulkan(
     vulkan: *const zs_vulkan_device,
@@ -209,7 +205,7 @@ pub unsafe extern "C" fn zs_device_from_vulkan(
             queue_family: given.queue_family,
             queue_lock,
             fast: given.optional_features_enabled != 0,
-            // SAFETY: a string or NULL.
+            // SAFETY: the caller's arguments.
             cache_dir: unsafe { cached_in(given.cache_dir) }?,
         };
         // SAFETY: the caller guarantees valid handles.
@@ -238,7 +234,7 @@ impl UserData {
 /// RGBA_F32. The renderer's device must be adopted.
 ///
 /// Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
-/// ends with the signals. Without semaphores, queue order applies. The renderer's next picture may
+/// ends with the signals; without semaphores, queue order applies. The renderer's next picture may
 /// wait for this copy, so no wait may depend on it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_to_vulkan(
@@ -248,7 +244,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
     options: *const zs_render_options,
 ) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL; structures or NULL.
+        // SAFETY: the caller's arguments.
         let (renderer, camera, options) =
             unsafe { (borrow(renderer, "renderer")?, read_given(camera)?.camera()?, read_versioned(options)?) };
         if !renderer.adopted {
@@ -267,7 +263,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
                 return Err(Failure::argument("pixel format", format!("{other:?}"), expected));
             }
         };
-        // SAFETY: a structure or NULL with valid handles.
+        // SAFETY: the caller's arguments.
         let target = unsafe { read_versioned(target)?.target(&camera, layout) }?;
         let options = options.outputs(true, true, false)?;
         Ok(renderer.lock().render_to(&camera, &options, layout, &target)?)

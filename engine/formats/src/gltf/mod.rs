@@ -1,6 +1,5 @@
-//! glTF 2.0 with KHR_gaussian_splatting, as in the release candidate: a point primitive with an
-//! accessor per attribute, linear scales and opacities. Positions, rotations and spherical
-//! harmonics are converted from x left, y up, z forward.
+//! glTF 2.0 with KHR_gaussian_splatting (release candidate): a point primitive with an accessor per
+//! attribute, linear scales and opacities. Converts from x left, y up, z forward.
 //!
 //! Reads all Gaussians of the default scene, with node transforms applied; buffers may be embedded,
 //! base64, or files in its folder. Writes one file, lossless except that quaternions are
@@ -32,7 +31,7 @@ pub(super) const TEXT: Format =
     Format { marks: &[], view_dependence: true, read: read_unchecked, world: Some(read_line), write: write::text };
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
-/// Relative tolerance for non-uniform scale and shear of nodes.
+/// Relative tolerance of nodes' non-uniform scale and shear.
 const SHEAR_TOLERANCE: f64 = 1e-4;
 
 struct Fault {

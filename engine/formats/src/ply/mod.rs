@@ -1,5 +1,5 @@
 //! PLY of 3D Gaussian Splatting (Kerbl et al. 2023): logit opacity, log scale, channel-first
-//! `f_rest_*`. Also reads the `packed` variant.
+//! `f_rest_*`; and its `packed` variant.
 
 mod packed;
 mod points;
@@ -31,18 +31,14 @@ pub(super) const FORMAT: Format = Format {
 pub use points::{PointCloud, read_points, write_points};
 
 const BATCH: usize = 1 << 16;
-/// Margin of opacities from 0 and 1, where the logit is infinite.
+/// The logit is infinite at 0 and 1.
 const OPACITY_MARGIN: f32 = 1e-6;
 const START: &str = "ply\nformat binary_little_endian 1.0\n";
 const COMMENT: &str = "comment ";
-/// Smallest scale written, since the logarithm of 0 is infinite.
+/// The logarithm of 0 is infinite.
 const MIN_SCALE: f32 = 1e-6;
 
 /// Writes a binary little-endian PLY of f32 properties atomically.
-///
-/// # Errors
-///
-/// [`Error::Argument`] if the scene is invalid.
 pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     scene.validate()?;
     write_atomic(path.as_ref(), encoder(scene, START))
@@ -109,18 +105,13 @@ fn encode(scene: &Scene, i: usize, row: &mut [u8]) {
     }
 }
 
-/// Rounds once from f64, so that files are identical on all platforms.
+/// Rounds once from f64: files are identical on all platforms.
 fn ln(value: f32) -> f32 {
     f64::from(value).ln() as f32
 }
 
 /// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII, with properties in any order
 /// and type. The number of `f_rest_*` determines the degree, 0 to 3.
-///
-/// # Errors
-///
-/// [`Error::Format`] for truncation, a missing property, or values that are not finite after
-/// activation.
 pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }

@@ -125,8 +125,8 @@ fn thirds(word: u32) -> [f32; 3] {
     [fraction(word >> 21, 11), fraction(word >> 11, 10), fraction(word, 11)]
 }
 
-/// Unpacks a rotation wxyz: 2 bits for the index of the positive largest component, then the others
-/// in order.
+/// Unpacks a rotation wxyz: 2 bits for the index of the positive largest component, then the
+/// others.
 fn quat(word: u32) -> [f32; 4] {
     let largest = (word >> 30) as usize;
     let mut others = [20, 10, 0].map(|shift| (fraction(word >> shift, 10) - 0.5) * SQRT_2).into_iter();
@@ -140,7 +140,7 @@ fn quat(word: u32) -> [f32; 4] {
     quat
 }
 
-/// Decodes a coefficient's byte: the range's ends are exact, others are the centers of 256 buckets.
+/// The range's ends are exact, other levels are the centers of 256 buckets.
 fn coefficient(level: f32) -> f32 {
     let fraction = match level {
         0.0 => 0.0,

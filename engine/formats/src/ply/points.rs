@@ -14,11 +14,6 @@ pub struct PointCloud {
 }
 
 /// Reads positions and 8-bit colors of a PLY's vertices.
-///
-/// # Errors
-///
-/// [`Error::Format`](crate::Error::Format) for truncation, missing x, y or z, or values that are
-/// not finite.
 pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     cloud(Source::open(path)?).map_err(|fault| fault.of(path))

@@ -36,7 +36,7 @@ pub(super) struct Ply<'a> {
 }
 
 impl<'a> Ply<'a> {
-    /// Compares counts of binary files with the file's length before allocating.
+    /// Compares binary files' counts with their length before allocating.
     pub(super) fn open(mut source: Source<'a>) -> Parsed<Self> {
         let (mut start, length) = (Vec::new(), source.length());
         source.by_ref().take(MAX_HEADER as u64).read_to_end(&mut start).map_err(Fault::Unread)?;
@@ -91,8 +91,8 @@ impl<'a> Ply<'a> {
         Ok(table)
     }
 
-    /// Passes an element's rows to `each` in order: batches with the index of their first row.
-    /// ASCII values become f32.
+    /// Passes an element's rows to `each`, in batches with the index of their first row. ASCII
+    /// values become f32.
     pub(super) fn rows(&mut self, table: &Table, mut each: impl FnMut(usize, &[u8]) -> Parsed<()>) -> Parsed<()> {
         if table.position < self.passed {
             let (name, before) = (&table.name, &self.elements[self.passed - 1].name);
@@ -121,7 +121,7 @@ impl<'a> Ply<'a> {
         table: &Table,
         mut each: impl FnMut(usize, &[u8]) -> Parsed<()>,
     ) -> Parsed<()> {
-        // Bounded by the count, which `table` compared with the length.
+        // Bounded by the count, which `table` checked.
         let mut body = Vec::new();
         self.values.read_to_end(&mut body).map_err(Fault::Unread)?;
         let skipped = self.elements[before].iter().map(|element| element.count * element.properties.len()).sum();

@@ -9,7 +9,7 @@ use super::{Capture, CaptureView, checked};
 
 const ASPECT_TOLERANCE: f64 = 1e-2;
 
-/// Assumes square pixels and ignores `aspect`, as nerfstudio does.
+/// As nerfstudio, assumes square pixels and ignores `aspect`.
 pub(super) fn parse(file: &Value) -> Result<Capture, String> {
     check_perspective(file, "camera_type")?;
     let side = |key: &str| whole(file, key, "the file")?.ok_or_else(|| format!("{key}: expected a number of pixels"));

@@ -4,7 +4,7 @@ use serde_json::Value;
 use super::super::{Camera, Intrinsics, Pose};
 use super::{Capture, CaptureView, checked};
 
-/// Parses a matrix of 4-number rows or a flat row-major list. The last row, 0 0 0 1, is optional.
+/// Parses rows of 4 numbers or a flat row-major list. The last row, 0 0 0 1, is optional.
 pub(super) fn rigid_matrix(value: &Value) -> Option<DMat4> {
     let mut numbers = Vec::new();
     for element in value.as_array()? {

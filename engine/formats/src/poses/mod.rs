@@ -1,5 +1,5 @@
 //! Camera files: `transforms.json` (instant-ngp, nerfstudio), COLMAP, RealEstate10K, camera paths,
-//! lists of matrices.
+//! matrices.
 
 mod camera_path;
 mod colmap;
@@ -22,31 +22,29 @@ pub use colmap::{colmap_files, write_colmap};
 pub use scene_scale::{SceneScale, Source};
 pub use transforms::{write_frames, write_frames_with, write_transforms};
 
-/// A capture's posed photos.
+/// Photos with cameras.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Capture {
     /// In file order, or by name if the file has none.
     pub frames: Vec<CaptureView>,
-    /// Point cloud for [`read_cloud`], if present: `ply_file_path`, `points.ply` or COLMAP's
-    /// `points3D`.
+    /// Path for [`read_cloud`], if present: `ply_file_path`, `points.ply` or COLMAP's `points3D`.
     pub points: Option<PathBuf>,
-    /// Notes for the user on ignored data.
+    /// Ignored data, for the user.
     pub warnings: Vec<String>,
-    /// Expected photo paths of frames left out because their size is unknown.
+    /// Expected photos of frames left out because their size is unknown.
     pub sizeless: Vec<PathBuf>,
 }
 
 /// A posed photo.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CaptureView {
-    /// Photo name as in the file.
+    /// Name in the file.
     pub name: String,
-    /// Photo path, if found near the file.
+    /// Path, if found near the file.
     pub photo: Option<PathBuf>,
-    /// Pinhole camera with OpenCV axes in the file's world and unit. With a `lens`, that of
-    /// [`Lens::pinhole`].
+    /// Pinhole camera in the file's world and unit; [`Lens::pinhole`] of a `lens`.
     pub camera: Camera,
-    /// The photo's lens, if it distorts.
+    /// Lens, if it distorts.
     pub lens: Option<Lens>,
 }
 
@@ -60,8 +58,7 @@ impl CaptureView {
         Ok(Self { name, photo, camera: Camera { intrinsics, ..camera }, lens: Some(lens) })
     }
 
-    /// Opens a photo as seen by this frame's camera: undistorted, with pixels as stored regardless
-    /// of EXIF orientation.
+    /// Opens a photo as seen by this frame's camera: undistorted, regardless of EXIF orientation.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Image> {
         let photo = Image::open_as_stored(path)?;
         match &self.lens {
@@ -80,9 +77,8 @@ impl Capture {
     /// a URL is RealEstate10K, with frames next to it or in a folder of its name.
     ///
     /// # Errors
-    ///
-    /// [`Error::Format`] with file, frame and field for malformed files, [`Error::Argument`] if
-    /// `path` has no known cameras.
+    /// [`Error::Format`] with file, frame and field, [`Error::Argument`] if `path` has no known
+    /// cameras.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let found = path.metadata().map_err(|source| Error::io(path, source))?;
@@ -107,10 +103,10 @@ impl Capture {
 
     /// Reads cameras for rendering.
     ///
-    /// Accepts everything that [`Capture::open`] accepts, nerfstudio's `camera_path.json`, and JSON
-    /// lists. List elements are camera-to-world matrices with OpenCV axes (4 x 4 or flat), or
-    /// objects with `matrix` (the same) or `viewmat` (world-to-camera). Objects may have their own
-    /// lens: `fx`, `width`, `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
+    /// Accepts the files of [`Capture::open`], nerfstudio's `camera_path.json`, and JSON lists of
+    /// camera-to-world matrices with OpenCV axes (4 x 4 or flat), or of objects with `matrix` (the
+    /// same) or `viewmat` (world-to-camera). Objects may have their own lens: `fx`, `width`,
+    /// `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
     pub fn open_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Self> {
         let path = path.as_ref();
         if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
@@ -129,13 +125,13 @@ impl Capture {
         Self::open(path)
     }
 
-    /// Determines the scene scale for a reconstruction from `views`, see [`SceneScale::of`].
+    /// Determines the scene scale for `views` by [`SceneScale::of`].
     pub fn scene_scale(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<SceneScale> {
         let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
         SceneScale::of(given, &cameras, self.points.as_deref(), views, origin)
     }
 
-    /// Returns the cameras of `photos`, matched as in [`Capture::frames_of`].
+    /// Returns the cameras of [`Capture::frames_of`].
     pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
         Ok(self.frames_of(photos)?.into_iter().map(|frame| frame.camera).collect())
     }
@@ -174,11 +170,9 @@ impl Capture {
         }
     }
 
-    /// Returns the frame of a photo, matched as in [`Capture::frames_of`]; `None` if no name
-    /// matches.
+    /// Returns the frame of a photo, matched as in [`Capture::frames_of`], if any.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] for several equal matches.
     pub fn frame_of(&self, photo: impl AsRef<Path>) -> Result<Option<&CaptureView>> {
         let photo = photo.as_ref();
@@ -214,10 +208,10 @@ fn common_folders(a: &Path, b: &Path) -> usize {
     a.components().rev().zip(b.components().rev()).take_while(|(a, b)| a == b).count()
 }
 
-/// Camera file names; the second has the training views of NeRF's synthetic scenes.
+/// The second has the training views of NeRF's synthetic scenes.
 const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 
-/// Reads a point cloud in its cameras' world: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
+/// Reads a PLY, `points3D.bin` or `points3D.txt`.
 pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     let is_colmap = path.file_stem().is_some_and(|stem| stem == "points3D");

@@ -9,8 +9,7 @@ use super::super::{Camera, Image, Intrinsics, Pose};
 use super::{Capture, CaptureView, checked, transforms::find_photo};
 use crate::{Error, Result};
 
-/// Numbers per line: microseconds, 4 intrinsics relative to the sides, 2 unused, and a 3 x 4
-/// world-to-camera matrix.
+/// Microseconds, 4 intrinsics relative to the sides, 2 unused, and a 3 x 4 world-to-camera matrix.
 const NUMBERS: usize = 19;
 
 pub(super) fn is_file(path: &Path) -> bool {

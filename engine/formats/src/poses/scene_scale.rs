@@ -9,13 +9,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Minimum mean squared sine of the angles between optical axes and their mean direction. Above it,
-/// the axes' nearest point measures distance; below, it may be anywhere.
+/// Minimum mean squared sine of the angles between optical axes and their mean direction. Below it,
+/// the axes' nearest point may be anywhere.
 const CONVERGING: f64 = 0.05;
 const FARTHER: f64 = 2.0;
 
-/// The network's unit of length in the cameras' unit, and its source. In training, the median depth
-/// from the first view is about 1.
+/// The network's unit of length in the cameras' unit. In training, the median depth from the first
+/// view is about 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneScale {
     /// Divisor of camera positions.
@@ -43,10 +43,6 @@ impl SceneScale {
     /// Determines the scene scale: `given`, else from `points` visible to `views`, else from all
     /// `cameras` of the capture. The frame of `views` is the first view's camera; `origin` is its
     /// pose in the world of `cameras`.
-    ///
-    /// # Errors
-    ///
-    /// A point cloud that cannot be read.
     pub fn of(
         given: Option<f64>,
         cameras: &[Pose],
@@ -122,8 +118,8 @@ fn of_points(path: &Path, cameras: &[Camera], origin: &Pose) -> Result<Option<f6
     Ok(median(distances).filter(|length| *length > 0.0))
 }
 
-/// Returns the first camera's distance to the point nearest all optical axes (least squares).
-/// Requires converging axes and the point in front of most cameras.
+/// Returns the first camera's distance to the point nearest all optical axes (least squares), if
+/// these converge in front of most cameras.
 fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
     let (mut sum, mut moment) = (DMat3::ZERO, DVec3::ZERO);
     for pose in cameras {

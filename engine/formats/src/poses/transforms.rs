@@ -1,5 +1,4 @@
-//! `transforms.json` (instant-ngp, nerfstudio): camera-to-world matrices with OpenGL axes (x right,
-//! y up, z backward).
+//! `transforms.json` (instant-ngp, nerfstudio): camera-to-world matrices with OpenGL axes.
 
 use std::path::{Path, PathBuf};
 
@@ -133,12 +132,11 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// Writes cameras for nerfstudio: OpenGL axes, shared intrinsics at the top. `names` are photo
-/// paths relative to the file.
+/// Writes cameras for nerfstudio, with shared intrinsics at the top. `names` are photo paths
+/// relative to the file.
 ///
 /// # Errors
-///
-/// [`Error::Argument`] for an invalid camera or different numbers of cameras and names.
+/// [`Error::Argument`] for different numbers of cameras and names.
 pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[impl AsRef<str>]) -> Result<()> {
     if cameras.len() != names.len() {
         return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));
@@ -150,15 +148,11 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
 
 /// Writes posed photos as [`write_transforms`], with OpenCV distortion and the point cloud's
 /// relative path.
-///
-/// # Errors
-///
-/// [`Error::Argument`] for an invalid camera.
 pub fn write_frames(path: impl AsRef<Path>, frames: &[CaptureView], points: Option<&str>) -> Result<()> {
     write_frames_with(path, frames, points, &[])
 }
 
-/// Writes frames as [`write_frames`], with optional extra fields per frame.
+/// As [`write_frames`], with extra fields per frame.
 pub fn write_frames_with(
     path: impl AsRef<Path>,
     frames: &[CaptureView],

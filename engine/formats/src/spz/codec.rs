@@ -11,7 +11,7 @@ pub(super) const MAX_FRACTIONAL_BITS: u32 = 16;
 /// Natural logarithm of the smallest scale, and levels per factor of e.
 const MIN_LOG_SCALE: f32 = -10.0;
 const LOG_SCALE_LEVELS: f32 = 16.0;
-/// Scale of the degree 0 coefficient, with headroom for colors outside 0..1.
+/// Leaves headroom for colors outside 0..1.
 const COLOR_SCALE: f32 = 0.15;
 /// Levels per bucket of degree 1 and of higher degrees: fewer distinct bytes compress better.
 const SH_BUCKETS: [i32; 2] = [8, 16];
@@ -48,7 +48,7 @@ impl Layout {
         (self.sh_degree as usize + 1).pow(2) - 1
     }
 
-    /// Returns the bytes per Gaussian of each section in file order.
+    /// Bytes per Gaussian of each section.
     pub(super) fn section_bytes(&self) -> [usize; 6] {
         [9, 1, 3, 3, self.rotation_bytes(), 3 * self.rest()]
     }
@@ -148,8 +148,8 @@ fn from_first_three(levels: &[u8; 3]) -> [f32; 4] {
     [(1.0 - x * x - y * y - z * z).max(0.0).sqrt(), x, y, z]
 }
 
-/// Versions 3 and 4: 2 bits for the omitted largest of x, y, z, w, then sign and 9-bit magnitude of
-/// the others. The omitted component is made positive.
+/// Versions 3 and 4: 2 bits for the largest of x, y, z, w, which is made positive and omitted, then
+/// sign and 9-bit magnitude of the others.
 fn smallest_three([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     let quat = [x, y, z, w];
     let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });

@@ -1,5 +1,5 @@
-//! Parallel gzip (RFC 1952): parts are compressed independently, flushed and concatenated. The
-//! bytes do not depend on the number of cores.
+//! Parallel gzip (RFC 1952): parts are compressed independently and concatenated. The bytes do not
+//! depend on the number of cores.
 
 use std::io::Write;
 
@@ -19,7 +19,7 @@ pub(super) struct Gzip<'a> {
 }
 
 impl<'a> Gzip<'a> {
-    /// Writes the header with a comment, which must not contain NUL.
+    /// The comment must not contain NUL.
     pub(super) fn begin(out: &'a mut dyn Write, comment: &str) -> std::io::Result<Self> {
         out.write_all(&START)?;
         out.write_all(comment.as_bytes())?;

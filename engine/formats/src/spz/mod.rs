@@ -1,6 +1,6 @@
 //! Niantic's SPZ, versions 2 to 4: a header and a quantized section per attribute. Versions 2 and 3
-//! are a gzip stream, version 4 has a zstd frame per section (`streams`). Positions, rotations and
-//! spherical harmonics are converted from x right, y up, z backward.
+//! are a gzip stream, version 4 has a zstd frame per section (`streams`). Converts from x right, y
+//! up, z backward.
 //!
 //! Resolution: positions 2⁻¹⁷, coarser if the scene extends beyond 128 units; scales 3.2 % from
 //! e⁻¹⁰ to e⁵·⁹; opacities 1/510. Coefficients: degree 0 0.014 in ±3.33, degree 1 9/256 in ±1,
@@ -36,10 +36,10 @@ pub use range::spz_coarsening;
 /// "NGSP". Version, count and the bytes degree, fractional bits, flags and reserved follow.
 const MAGIC: u32 = 0x5053_474e;
 const HEADER: usize = 16;
-/// Flag for records after the attributes. They do not affect these and are skipped.
+/// Records after the attributes, which do not affect these and are skipped.
 const HAS_EXTENSIONS: u8 = 2;
 const MAX_EXTENSIONS: u64 = 1 << 20;
-/// Limit on bytes inflated per file byte, beyond real compression, against hostile files.
+/// Inflated bytes per file byte, beyond real compression, against hostile files.
 const MAX_INFLATION: u64 = 64;
 const ALWAYS_INFLATED: u64 = 64 << 20;
 
@@ -69,7 +69,7 @@ fn encoder<'a>(scene: &'a Scene, options: &SaveOptions, world: Option<&World>) -
     }))
 }
 
-/// Offsets of errors refer to the inflated stream; in version 4 to the file.
+/// Offsets of errors refer to the inflated stream, in version 4 to the file.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
     decode(&bytes).map_err(|Fault { offset, reason }| Error::format(source.name, offset.map(|at| at as u64), reason))

@@ -1,8 +1,7 @@
 use super::codec::{MAX_FRACTIONAL_BITS, POSITION_BITS, fractional_bits};
 use crate::Scene;
 
-/// Returns a note if few distant Gaussians coarsen all positions of an SPZ, which has one step per
-/// file.
+/// Returns a note if few distant Gaussians coarsen all positions of an SPZ.
 pub fn spz_coarsening(scene: &Scene) -> Option<String> {
     let bits = fractional_bits(scene).ok().filter(|bits| *bits < MAX_FRACTIONAL_BITS)?;
     let reach = |mean: &[f32; 3]| mean.iter().fold(0f32, |reach, value| reach.max(value.abs()));

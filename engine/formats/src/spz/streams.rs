@@ -11,11 +11,11 @@ use super::{Fault, HAS_EXTENSIONS, Layout, MAGIC};
 use crate::Scene;
 
 const VERSION: u32 = 4;
-/// Limit on bytes per file byte, as in deflate.
+/// Bytes per file byte, as in deflate.
 const MAX_INFLATION: u64 = 1032;
 const HEADER: usize = 32;
 const ENTRY: usize = 16;
-/// Minimum window limit that the zstd specification recommends.
+/// Minimum that the zstd specification recommends.
 const MIN_WINDOW: u64 = 8 << 20;
 const COORDINATE_SYSTEM: u32 = 0xadbe_0003;
 const RIGHT_UP_BACK: u32 = 4;
@@ -35,7 +35,7 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
         return fault(4, format!("found version {version} outside a gzip stream, expected {VERSION}"));
     }
     let layout = Layout::of_header(version, bytes[12], bytes[13])?;
-    // Limits sizes to those of gzip, because zstd could expand any number from a few bytes.
+    // zstd could expand any number from a few bytes.
     if u64::from(count) * layout.gaussian_bytes() as u64 > MAX_INFLATION * bytes.len() as u64 {
         return fault(8, format!("found {count} Gaussians in {} bytes, which cannot hold as many", bytes.len()));
     }
@@ -131,7 +131,7 @@ fn streams(bytes: &[u8], table: usize, sections: &[usize]) -> Parsed<Vec<Stream>
     Ok(streams)
 }
 
-/// Decompresses a frame that must fill the section exactly.
+/// The frame must fill the section exactly.
 fn inflate(packed: &[u8], section: &mut [u8]) -> std::result::Result<(), String> {
     let window = MIN_WINDOW.max(section.len() as u64);
     let zstd = |error: &dyn std::fmt::Display| format!("zstd: {error}");

@@ -40,7 +40,7 @@ impl Dolly {
         camera
     }
 
-    /// Returns `frames` cameras from start to end, inclusive.
+    /// Returns `frames` cameras from start to end.
     pub fn sample(&self, frames: usize) -> Vec<Camera> {
         path(frames).map(|fraction| self.at(fraction)).collect()
     }

@@ -4,7 +4,7 @@ use super::super::{Camera, Pose};
 use super::{closed_path, looking};
 use crate::{Error, Result};
 
-/// Weight of the given center against view axes: matters only if these are parallel.
+/// Weight of the given center against view axes; matters only for parallel ones.
 const CENTER_WEIGHT: f64 = 1e-3;
 
 /// A closed path perpendicular to the cameras' mean up, at their mean height.
@@ -16,9 +16,9 @@ pub struct Ellipse {
     pub axes: [DVec3; 2],
     /// Unit normal of its plane.
     pub up: DVec3,
-    /// Point that cameras look at: nearest to the given cameras' view axes.
+    /// Target of the cameras: nearest to the given cameras' view axes.
     pub target: DVec3,
-    /// Whether cameras look away from the target, as most given cameras do.
+    /// Whether cameras look away from the target, as most given ones do.
     pub outward: bool,
     /// Angle of the first camera from the major axis, in radians.
     pub start: f64,
@@ -29,9 +29,7 @@ impl Ellipse {
     /// parallel view axes the target is `center`.
     ///
     /// # Errors
-    ///
-    /// [`Error::Argument`] without cameras, for an invalid camera, coincident cameras, or an
-    /// undefined mean up.
+    /// [`Error::Argument`] without cameras, for coincident cameras, or an undefined mean up.
     pub fn around(cameras: &[Camera], center: DVec3) -> Result<Self> {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -73,7 +71,6 @@ impl Ellipse {
 /// Returns the normalized mean of the cameras' up vectors.
 ///
 /// # Errors
-///
 /// [`Error::Argument`] if their mean vanishes.
 pub fn mean_up(cameras: &[Camera]) -> Result<DVec3> {
     let up = cameras.iter().map(|camera| -camera.pose.rotation.y_axis).sum::<DVec3>() / cameras.len().max(1) as f64;
@@ -98,8 +95,7 @@ pub(super) fn focus(cameras: &[Camera], center: DVec3) -> DVec3 {
     normal.inverse() * right
 }
 
-/// Computes the axes from the covariance: evenly spread points have half of each squared axis as
-/// variance.
+/// The variance of evenly spread points is half of each squared axis.
 fn half_axes(cameras: &[Camera], middle: DVec3, up: DVec3) -> [DVec3; 2] {
     let (u, v) = up.any_orthonormal_pair();
     let (mut uu, mut uv, mut vv) = (0.0, 0.0, 0.0);

@@ -12,9 +12,9 @@ const UP: DVec3 = DVec3::NEG_Y;
 /// elevation up. At 0, 0 a camera looks along +z, as the first view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// Point that cameras look at.
+    /// Center of the sphere.
     pub center: DVec3,
-    /// Distance of the cameras from it.
+    /// Radius of the sphere.
     pub radius: f64,
 }
 
@@ -23,7 +23,6 @@ impl Orbit {
     /// radius 1.2 times the 0.9 quantile of distances, linearly interpolated.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] if the scene is empty.
     pub fn around(scene: &Scene) -> Result<Self> {
         if scene.is_empty() {
@@ -40,7 +39,7 @@ impl Orbit {
         Ok(Self { center, radius: RADIUS_MARGIN * spread })
     }
 
-    /// Returns the camera at an azimuth and elevation in degrees. At the poles, right is +x.
+    /// Returns the camera at angles in degrees. At the poles, right is +x.
     pub fn pose(&self, azimuth: f64, elevation: f64) -> Pose {
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let toward = DVec3::new(azimuth.sin() * elevation.cos(), -elevation.sin(), -azimuth.cos() * elevation.cos());

@@ -6,14 +6,14 @@ use super::super::{Camera, Intrinsics, Pose, quaternion_from_matrix};
 use super::{closed_path, ellipse::focus, path};
 use crate::{Error, Result};
 
-/// Minimum time between cameras relative to the mean, since cameras at one center still turn.
+/// Relative to the mean, since cameras at one center still turn.
 const LEAST_INTERVAL: f64 = 0.1;
 /// Minimum cosine between a camera's axis and the direction to a common target.
 const LOOKING: f64 = 0.9;
 
 /// A path through control cameras. Centers: centripetal Catmull-Rom (Yuksel et al. 2011), without
 /// cusps or loops. Rotations: squad (Shoemake 1987). Intrinsics: linear. If all cameras look at a
-/// common target, the path keeps looking at it.
+/// common target, the path does, too.
 #[derive(Clone, Debug)]
 pub struct Spline {
     keys: Vec<Key>,
@@ -33,7 +33,7 @@ impl Spline {
     /// Creates a path from the first camera to the last, or back to the first if `closed`.
     ///
     /// # Errors
-    /// [`Error::Argument`] without cameras, for an invalid camera, or for different picture sizes.
+    /// [`Error::Argument`] without cameras or for different picture sizes.
     pub fn through(cameras: &[Camera], closed: bool) -> Result<Self> {
         let Some(first) = cameras.first() else {
             return Err(Error::argument("cameras of a spline", "none", "at least one"));
@@ -80,13 +80,12 @@ impl Spline {
         Camera { intrinsics: mix(&key.camera.intrinsics, &next.camera.intrinsics, t), pose }
     }
 
-    /// Returns the number of segments between consecutive cameras.
+    /// Returns the number of segments.
     pub fn segments(&self) -> usize {
         self.intervals.len()
     }
 
-    /// Returns `frames` cameras at equal times: inclusive for open paths, without repeating the
-    /// first for closed ones.
+    /// Returns `frames` cameras at equal times; closed paths do not repeat the first.
     pub fn sample(&self, frames: usize) -> Vec<Camera> {
         let closed = self.segments() == self.keys.len();
         let total: f64 = self.intervals.iter().sum();

@@ -1,4 +1,4 @@
-//! Adoption of an app's Vulkan device: requirements and borrowed handles.
+//! Adoption of an app's Vulkan device.
 
 use super::{
     Shared, SharedParts,
@@ -25,9 +25,9 @@ pub enum Requirement {
     DeviceExtension(&'static CStr),
     /// Feature and the structure that declares it.
     Feature {
-        /// The field.
+        /// Field.
         name: &'static CStr,
-        /// The structure.
+        /// Structure.
         structure: &'static CStr,
     },
 }
@@ -62,11 +62,11 @@ pub struct Adopted {
     pub queue: *mut c_void,
     /// Family of the queue, with compute support.
     pub queue_family: u32,
-    /// Lock that serializes use of the queue; `None` if the engine is its only user.
+    /// Serializes use of the queue; `None` if the engine is its only user.
     pub queue_lock: Option<QueueLock>,
     /// Whether every supported feature of [`fast_requirements`] is enabled.
     pub fast: bool,
-    /// Folder of self-test results and kernel timings; `None` keeps none.
+    /// As [`DeviceOptions::cache_dir`](crate::DeviceOptions::cache_dir).
     pub cache_dir: Option<PathBuf>,
 }
 

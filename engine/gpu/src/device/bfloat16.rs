@@ -8,10 +8,8 @@ use std::{
 
 pub const NAME: &CStr = c"VK_KHR_shader_bfloat16";
 
-/// VK_COMPONENT_TYPE_BFLOAT16_KHR.
 pub const COMPONENT_TYPE: vk::ComponentTypeKHR = vk::ComponentTypeKHR::from_raw(1000141000);
 
-/// VkPhysicalDeviceShaderBfloat16FeaturesKHR.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Features {
@@ -39,7 +37,7 @@ impl Default for Features {
     }
 }
 
-// SAFETY: layout and structure type follow the extension's specification.
+// SAFETY: as the extension specifies.
 unsafe impl vk::ExtendsPhysicalDeviceFeatures2 for Features {}
 // SAFETY: as above.
 unsafe impl vk::ExtendsDeviceCreateInfo for Features {}

@@ -29,8 +29,8 @@ pub(crate) const REQUIRED: [Feature; 6] = [
 pub(crate) const HALVES: [Feature; 1] =
     [Feature { name: c"storageBuffer16BitAccess", structure: V11, field: |f| &mut f.v11.storage_buffer16_bit_access }];
 
-/// `vulkanMemoryModelDeviceScope` is needed because enabling the memory model restricts atomics to
-/// workgroups in every kernel.
+/// `vulkanMemoryModelDeviceScope`: without it, the memory model restricts every kernel's atomics to
+/// workgroups.
 pub(crate) const MATRICES: [Feature; 4] = [
     Feature { name: c"shaderFloat16", structure: V12, field: |f| &mut f.v12.shader_float16 },
     Feature { name: c"vulkanMemoryModel", structure: V12, field: |f| &mut f.v12.vulkan_memory_model },

@@ -17,15 +17,15 @@ pub struct Limits {
     pub integrated: bool,
     /// Invocations per subgroup.
     pub subgroup_size: u32,
-    /// Maximum bytes of one binding.
+    /// Maximum bytes per binding.
     pub max_binding_bytes: u64,
-    /// Maximum bytes of one allocation.
+    /// Maximum bytes per allocation.
     pub max_block_bytes: u64,
     /// Maximum workgroups along x, y, z.
     pub max_groups: [u32; 3],
-    /// Shared memory per workgroup in bytes.
+    /// Bytes of shared memory per workgroup.
     pub shared_bytes: u32,
-    /// Device memory in bytes.
+    /// Bytes of device memory.
     pub memory_bytes: u64,
     /// Nanoseconds per timestamp tick.
     pub timestamp_ns: f64,
@@ -37,12 +37,12 @@ pub struct Limits {
     pub half_storage: bool,
     /// Shapes of cooperative matrices (VK_KHR_cooperative_matrix).
     pub matrices: Matrices,
-    /// Support for dot products of four signed 8-bit integers, together with 16-bit floats.
+    /// Dot products of four signed 8-bit integers, together with 16-bit floats.
     pub dot_products: bool,
-    /// Whether these dot products are hardware accelerated.
+    /// Whether these are hardware accelerated.
     pub dot_products_accelerated: bool,
-    /// Whether kernels may read buffers by address. Enabled only for drivers that turn uniform
-    /// loads into vector loads.
+    /// Whether kernels may read buffers by address, for drivers that turn uniform loads into vector
+    /// loads.
     pub addresses: bool,
     /// Cache key of measurements: device, driver and validation state.
     pub identity: String,
@@ -83,7 +83,7 @@ impl Matrices {
 }
 
 impl Limits {
-    /// Fails on a device without timestamps.
+    /// Fails without timestamps.
     pub fn check_timestamps(&self) -> Result<()> {
         match self.timestamp_bits {
             0 => Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", self.name))),
@@ -93,7 +93,7 @@ impl Limits {
 }
 
 impl Limits {
-    /// Returns the device's UUID as 32 hexadecimal digits, or "none" without a device.
+    /// Returns the UUID as 32 hexadecimal digits, or "none".
     pub fn uuid(&self) -> &str {
         self.identity.split('-').next().unwrap_or_default()
     }

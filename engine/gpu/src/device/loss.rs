@@ -1,4 +1,4 @@
-//! Device loss, which is permanent and reported by every later call.
+//! Device loss, which is permanent.
 
 use super::{Shared, failure::driver};
 use crate::{Error, Result};
@@ -6,7 +6,7 @@ use ash::vk;
 use std::sync::atomic::Ordering;
 
 impl Shared {
-    /// Converts a failed call into an error, and records device loss.
+    /// Converts a failed call into an error and records device loss.
     pub fn failed(&self, call: &'static str, result: vk::Result) -> Error {
         if result == vk::Result::ERROR_DEVICE_LOST {
             self.lost.store(true, Ordering::Relaxed);
@@ -14,8 +14,7 @@ impl Shared {
         driver(call, result)
     }
 
-    /// Drivers may answer later calls with success or unrelated errors, and mapped memory stays
-    /// accessible.
+    /// Drivers may answer later calls with success or unrelated errors.
     pub fn check_lost(&self) -> Result<()> {
         if self.lost.load(Ordering::Relaxed) { Err(Error::DeviceLost) } else { Ok(()) }
     }

@@ -1,4 +1,4 @@
-//! Devices: discovery, opening, adoption, features and limits.
+//! Devices: discovery, opening, adoption, limits.
 
 mod adopt;
 pub(crate) mod barrier;
@@ -43,24 +43,23 @@ use std::{
 pub struct DeviceOptions {
     /// Index in [`crate::list_devices`], part of a name, or UUID; `None` picks the best device.
     pub device: Option<String>,
-    /// Enables the Khronos validation layer with synchronization validation; any message fails the
-    /// run. Scratch tensors are filled with NaN before their first use.
+    /// Enables the Khronos validation layer with synchronization validation: any message fails the
+    /// run. Scratch tensors are filled with NaN.
     pub validation: bool,
-    /// Limit on the bytes of one binding, to emulate a smaller device.
+    /// Limit on bytes per binding, to emulate a smaller device.
     pub max_binding_bytes: Option<u64>,
     /// Budget of device memory in bytes.
     pub max_memory_bytes: Option<u64>,
-    /// Folder of self-test results and kernel timings; `None` keeps none.
+    /// Folder of self-test results and kernel timings, if kept.
     pub cache_dir: Option<PathBuf>,
-    /// Forces robust access: kernels read bound buffers only, never device addresses.
+    /// Kernels read bound buffers only, never device addresses.
     pub robust_access: bool,
-    /// Uses staging buffers even if device memory is host visible, to emulate a discrete GPU.
+    /// Uses staging buffers even for host-visible memory, to emulate a discrete GPU.
     pub force_staging: bool,
 }
 
 impl Default for DeviceOptions {
-    /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access. The cache is
-    /// [`cache_dir`].
+    /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access.
     fn default() -> Self {
         let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
         let (validation, robust_access) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
@@ -76,7 +75,7 @@ impl Default for DeviceOptions {
     }
 }
 
-/// An open device. Cloning shares it; dropping the last clone closes it.
+/// An open device, shared by its clones.
 #[derive(Clone)]
 pub struct Device(pub(crate) Arc<Shared>);
 
@@ -121,7 +120,7 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`Error::NoDevice`] if no driver is installed or no matching device meets the requirements.
+    /// [`Error::NoDevice`] without a driver or a matching device that meets the requirements.
     pub fn open(options: &DeviceOptions) -> Result<Self> {
         let instance = Instance::new(options.validation)?;
         let devices = devices(&instance)?;
@@ -151,22 +150,22 @@ impl Device {
         Shared::open(instance, physical, index, options, passed_over).map(|s| Self(Arc::new(s)))
     }
 
-    /// Returns the device's index for [`DeviceOptions::device`]; 0 for adopted devices.
+    /// Returns [`DeviceOptions::device`]'s index; 0 for adopted devices.
     pub fn index(&self) -> usize {
         self.0.index
     }
 
-    /// Returns the rejected GPUs with reasons, if the engine fell back to a CPU.
+    /// Returns the rejected GPUs with reasons, after a fallback to a CPU.
     pub fn passed_over(&self) -> &[String] {
         &self.0.passed_over
     }
 
-    /// Returns the folder of cached results about the device; `None` if none are kept.
+    /// Returns [`DeviceOptions::cache_dir`].
     pub fn cache_dir(&self) -> Option<&Path> {
         self.0.cache_dir.as_deref()
     }
 
-    /// Returns the bytes of device memory in use: arenas, weights, scenes.
+    /// Returns the bytes of device memory in use.
     pub fn allocated_bytes(&self) -> u64 {
         self.0.allocated.load(Ordering::Relaxed)
     }
@@ -176,7 +175,7 @@ impl Device {
         self.0.check_lost()
     }
 
-    /// Returns the device's limits and features.
+    /// Returns the limits and features.
     pub fn limits(&self) -> &Limits {
         &self.0.limits
     }

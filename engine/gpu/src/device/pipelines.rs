@@ -1,4 +1,4 @@
-//! Compute pipelines, compiled once per set of specialization constants.
+//! Compute pipelines, one per set of specialization constants.
 
 use crate::{
     Error, Result,

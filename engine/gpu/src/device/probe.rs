@@ -19,8 +19,7 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
-    /// Digits match an index only; other selectors match a UUID, as printed by `nvidia-smi -L`, or
-    /// part of a name.
+    /// Digits match an index, other selectors a UUID or part of a name.
     pub(crate) fn is_selected(&self, selector: &str) -> bool {
         let uuid = selector.strip_prefix("GPU-").unwrap_or(selector).replace('-', "");
         match selector {
@@ -40,8 +39,7 @@ impl DeviceInfo {
 /// Lists every Vulkan device, usable or not.
 ///
 /// # Errors
-///
-/// [`Error::NoDevice`] if there is no Vulkan loader or no driver.
+/// [`Error::NoDevice`] without a Vulkan loader or driver.
 pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     let instance = Instance::new(false)?;
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())
@@ -123,8 +121,8 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
     let offers = Offers { bf16: bf16.has_matrices(), i8: offered.have(&BYTES) };
     let subgroup_control = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
-    // Intel reports subgroups of 32, its size with the fewest registers per lane. Kernels that keep
-    // tiles in registers want the narrowest size.
+    // Intel reports subgroups of 32, its size with the fewest registers per lane; kernels keep
+    // tiles in registers.
     let narrowest = base.vendor_id == INTEL && subgroup_control;
     let limits = Limits {
         name: text(base.device_name_as_c_str().ok()),

@@ -2,10 +2,10 @@ use crate::lock::lock;
 use ash::{prelude::VkResult, vk};
 use std::sync::Mutex;
 
-/// An app's lock on its queue. Submitting threads call both functions, and never wait for the
-/// device in between.
+/// An app's lock on its queue. Submitting threads call both functions and never wait for the device
+/// in between.
 pub struct QueueLock {
-    /// Blocks until the queue is free, and takes it.
+    /// Blocks until the queue is free and takes it.
     pub lock: Box<dyn Fn() + Send + Sync>,
     /// Releases the queue.
     pub unlock: Box<dyn Fn() + Send + Sync>,
@@ -22,7 +22,7 @@ impl Queue {
     }
 
     /// # Safety
-    /// As for `vkQueueSubmit2`, except that this function locks the queue.
+    /// As for `vkQueueSubmit2`; this function locks the queue.
     pub unsafe fn submit(&self, device: &ash::Device, info: vk::SubmitInfo2<'_>, fence: vk::Fence) -> VkResult<()> {
         let queue = lock(&self.raw);
         if let Some(app) = &self.app {

@@ -1,5 +1,3 @@
-//! Shared scratch memory of plans that never run at the same time.
-
 use super::Memory;
 use crate::{
     Device, Plan, Result,
@@ -14,8 +12,8 @@ use std::sync::{
 
 const WORKING: &str = "working memory on the device";
 
-/// Scratch memory shared by plans that never run at the same time. All plans of a lane start at
-/// offset 0, so a lane has the size of its largest plan.
+/// Scratch memory shared by plans that never run at the same time. Plans of a lane start at offset
+/// 0, so a lane has the size of its largest plan.
 #[derive(Clone)]
 pub struct Arena(Arc<Lanes>);
 
@@ -29,16 +27,16 @@ struct Lanes {
 pub struct Claim(Arena);
 
 impl Arena {
-    /// Number of lanes: plans that may be in flight at the same time.
+    /// Number of lanes, which may be in flight at the same time.
     pub const LANES: usize = 2;
 
-    /// Creates an empty arena, which grows on demand.
+    /// Creates an empty arena.
     pub fn new(device: &Device) -> Self {
         let (device, lanes, claimed) = (device.clone(), Default::default(), AtomicBool::new(false));
         Self(Arc::new(Lanes { device, lanes, claimed }))
     }
 
-    /// Returns the bytes of a lane that fits each of these plans.
+    /// Returns the bytes of a lane for these plans.
     pub fn lane_bytes<'a>(plans: impl IntoIterator<Item = &'a Plan>) -> u64 {
         plans.into_iter().fold(Vec::new(), |sizes, plan| grown(&sizes, plan.block_bytes())).iter().sum()
     }
@@ -53,13 +51,13 @@ impl Arena {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// Claims the arena; `None` if it is already claimed.
+    /// Claims the arena, unless claimed.
     pub fn claim(&self) -> Option<Claim> {
         let free = self.0.claimed.compare_exchange(false, true, Ordering::Acquire, Ordering::Relaxed);
         free.is_ok().then(|| Claim(self.clone()))
     }
 
-    /// Claims the arena, or a new one if it is already claimed.
+    /// Claims the arena, or a new one if it is claimed.
     pub fn claimed(&self) -> (Self, Option<Claim>) {
         match self.claim() {
             Some(claim) => (self.clone(), Some(claim)),
@@ -73,7 +71,7 @@ impl Arena {
         self.0.lanes.iter().map(|lane| lock(lane).as_ref().map_or(0, bytes)).sum()
     }
 
-    /// Frees the memory; the next run allocates it again. The caller must hold the claim.
+    /// Frees the memory until the next run. The caller must hold the claim.
     pub fn release(&self) -> Result<()> {
         self.0.lanes.iter().try_for_each(|lane| lock(lane).as_ref().map_or(Ok(()), |lane| lane.release()))
     }
@@ -133,7 +131,7 @@ impl Lane {
             blocks.len() <= state.sizes.len() && blocks.iter().zip(&state.sizes).all(|(need, have)| need <= have);
         if !fits {
             let grown = grown(&state.sizes, blocks);
-            // Frees the old memory first, so that both never coexist.
+            // Old and new memory never coexist.
             state.empty(&self.device)?;
             let memory = |sizes: &[u64]| Memory::new(&self.device, WORKING, sizes);
             let (memory, sizes) = match memory(&grown) {
@@ -150,7 +148,7 @@ impl Lane {
         lock(&self.state).empty(&self.device)
     }
 
-    /// Callers must not store it: a stored reference keeps it allocated.
+    /// A stored reference would keep it allocated.
     pub fn memory(&self) -> Arc<Memory> {
         lock(&self.state).memory.clone()
     }

@@ -8,7 +8,7 @@ use crate::{
 };
 use ash::vk;
 
-/// Records copies `(from, to, region)` after all earlier submissions.
+/// Copies `(from, to, region)` after all earlier submissions.
 pub(crate) fn record_copies(
     shared: &Shared,
     commands: vk::CommandBuffer,
@@ -50,7 +50,7 @@ pub(crate) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region
             raw.wait_for_fences(&[fence], true, u64::MAX).map_err(|e| shared.failed("vkWaitForFences", e))?;
             shared.check_lost()
         };
-        // Waiting for the whole queue would wait for an app's submissions, too.
+        // Does not wait for the app's submissions.
         let fence = raw.create_fence(&vk::FenceCreateInfo::default(), None);
         let result = fence.map_err(|e| driver("vkCreateFence", e)).and_then(|fence| {
             let result = submit(fence);

@@ -1,6 +1,6 @@
 use half::{bf16, f16};
 
-/// Number type of a kernel variant (`#pragma element` and `#pragma factor` in its source).
+/// Number type of a kernel variant (`#pragma element`, `#pragma factor`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Element {
@@ -9,9 +9,9 @@ pub enum Element {
     F32,
     /// IEEE half precision: 11 significant bits, at most 65504.
     F16,
-    /// Brain float: the upper half of an f32, with 8 significant bits.
+    /// Upper half of an f32, with 8 significant bits.
     Bf16,
-    /// Integers from -127 to 127 with a separate scale. Factors of matrix units only.
+    /// Factors from -127 to 127 with a separate scale.
     I8,
 }
 
@@ -50,7 +50,7 @@ impl Element {
         }
     }
 
-    /// Returns the unit roundoff; for integers, relative to the largest value.
+    /// Returns the unit roundoff, for integers relative to the largest value.
     pub fn roundoff(self) -> f64 {
         match self {
             Element::F32 => (-24f64).exp2(),

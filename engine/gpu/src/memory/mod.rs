@@ -1,4 +1,4 @@
-//! Device memory: blocks, arenas, residents, staging buffers and tensors.
+//! Device memory.
 
 pub(crate) mod arena;
 mod copy;
@@ -36,7 +36,7 @@ struct Block {
     allocation: Option<Allocation>,
     bytes: u64,
     address: u64,
-    /// Whether it counts as device memory. Host-cached memory is system memory on discrete GPUs.
+    /// Counts as device memory, unlike host-cached memory of discrete GPUs.
     counted: bool,
     mapped: bool,
 }
@@ -122,11 +122,12 @@ impl Memory {
         Ok(())
     }
 
-    /// It is host-cached because uncached reads are very slow.
+    /// Host-cached, because uncached reads are very slow.
     fn staging(&self) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
         let mut staging = lock(&self.staging);
         if staging.is_none() {
-            *staging = Some(Block::new(&self.shared, "staging", STAGING_BYTES, MemoryLocation::GpuToCpu)?);
+            let block = Block::new(&self.shared, "staging", STAGING_BYTES, MemoryLocation::GpuToCpu)?;
+            *staging = Some(block);
         }
         Ok(staging)
     }
@@ -156,7 +157,7 @@ impl Block {
             usage |= vk::BufferUsageFlags::SHADER_DEVICE_ADDRESS;
         }
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
-        // No driver reports the available memory: other programs use it, and it may be fragmented.
+        // No driver reports available memory, which other programs use and which may be fragmented.
         let refused = || {
             let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
             Error::Memory { what: format!("{name}, which the driver refused,"), needed: bytes, available }
@@ -179,7 +180,7 @@ impl Block {
             return Err(refused());
         };
         let is = |property| allocation.memory_properties().contains(property);
-        // Host reads of uncached memory are very slow.
+        // Uncached reads are very slow.
         let direct = is(vk::MemoryPropertyFlags::HOST_CACHED) && !shared.force_staging;
         let seen = is(vk::MemoryPropertyFlags::HOST_COHERENT) && (direct || location != MemoryLocation::GpuOnly);
         block.mapped = seen && allocation.mapped_ptr().is_some();
@@ -220,7 +221,7 @@ fn unmapped() -> Error {
     Error::Driver { call: "vkMapMemory", result: "staging memory is not host visible".into() }
 }
 
-/// Sizes of tensors that stay on the device, such as weights and scenes.
+/// Layout of tensors that stay on the device, such as weights and scenes.
 #[derive(Debug)]
 pub struct ResidentLayout {
     id: u64,
@@ -275,7 +276,7 @@ impl Resident {
         self.memory.write(self.block(tensor), tensor.offset, bytes)
     }
 
-    /// Reads a tensor. Runs that write it must have finished.
+    /// Reads a tensor, after the runs that write it.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         self.memory.read(self.block(tensor), tensor.offset, bytemuck::cast_slice_mut(&mut data))?;

@@ -1,4 +1,4 @@
-//! Staging buffers for a plan's inputs and outputs, on devices whose memory is not host visible.
+//! Staging buffers of a plan's inputs and outputs, for memory that is not host visible.
 
 use super::{Memory, copy::record_copies};
 use crate::{
@@ -48,7 +48,7 @@ impl StagingBuffers {
         Ok(Self { memory, offsets, upload, download })
     }
 
-    /// Writes to an allocation's staging buffer; false if it has none.
+    /// Returns false without a staging buffer.
     pub fn write(&self, allocation: usize, offset: u64, bytes: &[u8]) -> Result<bool> {
         let Some(staged) = self.offsets[allocation] else { return Ok(false) };
         self.memory.write(0, staged + offset, bytes).map(|()| true)

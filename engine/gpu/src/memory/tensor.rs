@@ -1,7 +1,7 @@
 use super::element::Element;
 use crate::plan::layout::ALIGNMENT;
 
-/// A range of device memory that kernels see as an array. A plain handle without ownership.
+/// A range of device memory that kernels see as an array; a handle without ownership.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tensor {
     pub(crate) home: Home,
@@ -28,10 +28,7 @@ impl Tensor {
         Tensor { offset: self.offset + from, bytes, ..*self }
     }
 
-    /// Returns a slice as [`Tensor::slice`], with a runtime element type.
-    ///
-    /// # Panics
-    /// See [`Tensor::slice`].
+    /// As [`Tensor::slice`], with a runtime element type.
     pub fn slice_of(&self, element: Element, first: usize, len: usize) -> Tensor {
         let bytes = element.bytes();
         self.slice::<u8>(bytes * first, bytes * len)
@@ -43,8 +40,7 @@ impl Tensor {
     }
 
     /// # Panics
-    ///
-    /// If the tensor is resident: use [`Resident`](crate::Resident) to write and read it.
+    /// For a resident tensor: see [`Resident`](crate::Resident).
     pub(crate) fn allocation(self) -> usize {
         match self.home {
             Home::Arena(id) => id as usize,

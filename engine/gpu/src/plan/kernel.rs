@@ -1,5 +1,3 @@
-//! Compiled kernels, as listed by `build.rs`.
-
 use crate::{Element, Tensor};
 use std::hash::{Hash, Hasher};
 
@@ -36,7 +34,7 @@ impl Hash for Module {
 pub struct Needs {
     /// 16-bit floats in buffers.
     pub half_storage: bool,
-    /// Factor type of cooperative matrices (VK_KHR_cooperative_matrix).
+    /// Factor type of cooperative matrices.
     pub matrices: Option<Element>,
     /// Dot products of four signed 8-bit integers.
     pub dot_products: bool,
@@ -62,7 +60,7 @@ pub enum LocalSize {
     Fixed([u32; 3]),
     /// One subgroup of the device's size (specialization constant 0).
     Subgroup,
-    /// Subgroup count given by the constant at this index of [`Module::constant_ids`].
+    /// Subgroup count at this index of [`Module::constant_ids`].
     Subgroups(usize),
 }
 
@@ -76,14 +74,14 @@ impl LocalSize {
     }
 }
 
-/// A kernel call: tensors, push constants and specialization constants by name.
+/// A kernel call.
 pub trait Kernel {
     /// Returns the module for this call's element types.
     fn module(&self) -> &'static Module;
     /// Returns the tensors in the order of [`Module::bindings`].
     fn buffers(&self) -> Vec<Tensor>;
-    /// Returns the push constants by word.
+    /// Returns the push constants.
     fn push(&self) -> [u32; 16];
-    /// Returns the values of [`Module::constant_ids`] as bits.
+    /// Returns the bits of [`Module::constant_ids`].
     fn constants(&self) -> Vec<u32>;
 }

@@ -1,6 +1,6 @@
 //! Arena offsets: tensors with disjoint lifetimes share bytes.
 
-/// Alignment of every tensor: Vulkan's upper bound on minimum offset alignments.
+/// Vulkan's upper bound on minimum offset alignments.
 pub(crate) const ALIGNMENT: u64 = 256;
 
 #[derive(Clone, Copy, Debug)]
@@ -19,8 +19,7 @@ pub(crate) struct Placement {
 }
 
 /// Places each lifetime, largest first, at its lowest free offset in blocks of up to `block_bytes`.
-///
-/// `Err` holds the index of a lifetime that exceeds a block.
+/// `Err` is the index of a lifetime that exceeds a block.
 pub(crate) fn place(lifetimes: &[Lifetime], block_bytes: u64) -> Result<(Vec<Placement>, Vec<u64>), usize> {
     let mut order: Vec<usize> = (0..lifetimes.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(lifetimes[i].bytes), i));

@@ -1,5 +1,3 @@
-//! Plans: recorded commands with arena offsets.
-
 pub(crate) mod kernel;
 pub(crate) mod layout;
 mod recorder;
@@ -30,7 +28,7 @@ pub(crate) enum Operation {
 pub(crate) struct Command {
     pub operation: Operation,
     pub scope: u32,
-    /// Required FLOPs; 0 for commands bound by memory.
+    /// 0 for commands bound by memory.
     pub flops: u64,
 }
 
@@ -61,10 +59,10 @@ pub struct Plan {
     pub(crate) observed: Vec<(String, Tensor)>,
 }
 
-/// One row of the arena map.
+/// A row of the arena map.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ArenaRow {
-    /// Scope and name of the tensor.
+    /// Scope and name.
     pub name: String,
     /// Size in bytes.
     pub bytes: u64,
@@ -72,9 +70,9 @@ pub struct ArenaRow {
     pub block: u32,
     /// Offset in the block.
     pub offset: u64,
-    /// Index of the first command that uses it.
+    /// First command that uses it.
     pub first_use: u32,
-    /// Index of the last command that uses it.
+    /// Last command that uses it.
     pub last_use: u32,
 }
 
@@ -89,8 +87,8 @@ impl Plan {
         self.blocks.iter().sum()
     }
 
-    /// Fills every scratch tensor before its first use with a poison value: NaN as a float, out of
-    /// range as an index. Exposes reads of uninitialized memory, which is often zero on CPUs.
+    /// Fills scratch tensors before their first use with NaN, which is out of range as an index.
+    /// Exposes reads of uninitialized memory, often zero on CPUs.
     pub(crate) fn poison(&mut self) {
         let mut born = vec![Vec::new(); self.commands.len()];
         for (id, (allocation, placement)) in self.allocations.iter().zip(&self.placements).enumerate() {
@@ -110,7 +108,7 @@ impl Plan {
         }
     }
 
-    /// Returns a command's stage: its outermost scope.
+    /// A command's outermost scope.
     pub(crate) fn stage(&self, command: usize) -> &str {
         let scope = &self.scopes[self.commands[command].scope as usize];
         scope.split('/').next().unwrap_or_default()

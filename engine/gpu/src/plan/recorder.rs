@@ -4,10 +4,10 @@ use super::{
 };
 use crate::{Element, Error, Kernel, Limits, Needs, Plan, Result, Tensor, memory::tensor::Home};
 
-/// Row length of folded one-dimensional dispatches; devices may limit each axis to 65,535 groups.
+/// Row length of folded dispatches; devices may limit each axis to 65,535 groups.
 pub const GROUP_FOLD: u32 = 32_768;
 
-/// Records a plan. Needs only a device's limits, so plans exist without a device.
+/// Records a plan from a device's limits, without a device.
 pub struct Recorder {
     limits: Limits,
     commands: Vec<Command>,
@@ -19,7 +19,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Creates an empty recorder for devices of these limits.
+    /// Creates an empty recorder.
     pub fn new(limits: &Limits) -> Self {
         Self {
             limits: limits.clone(),
@@ -42,22 +42,22 @@ impl Recorder {
         self.allocate::<T>(name, len, Role::Scratch)
     }
 
-    /// Adds a scratch tensor as [`Recorder::tensor`], with a runtime element type.
+    /// As [`Recorder::tensor`], with a runtime element type.
     pub fn tensor_of(&mut self, element: Element, name: &str, len: usize) -> Tensor {
         self.tensor::<u8>(name, len.saturating_mul(element.bytes()))
     }
 
-    /// Adds a tensor that the host writes before every run. Later tensors may reuse its bytes.
+    /// Adds a tensor that the host writes before every run; later tensors may reuse its bytes.
     pub fn input<T>(&mut self, name: &str, len: usize) -> Tensor {
         self.allocate::<T>(name, len, Role::Input)
     }
 
-    /// Adds a tensor that the host writes once and that keeps its contents between runs.
+    /// Adds a tensor that the host writes once, kept between runs.
     pub fn constant<T>(&mut self, name: &str, len: usize) -> Tensor {
         self.allocate::<T>(name, len, Role::Constant)
     }
 
-    /// Keeps a tensor until the end, for the host to read.
+    /// Keeps a tensor until the end, for the host.
     pub fn output(&mut self, tensor: Tensor) {
         if let Home::Arena(id) = tensor.home {
             self.allocations[id as usize].output = true;
@@ -78,8 +78,7 @@ impl Recorder {
         self
     }
 
-    /// Copies a tensor as of this point, if [`Recorder::observing`]; otherwise does nothing.
-    /// [`crate::Run::observed`] returns the copies.
+    /// Copies a tensor as of this point for [`crate::Run::observed`], if [`Recorder::observing`].
     pub fn observe(&mut self, name: &str, tensor: Tensor) {
         if self.observed.is_some() {
             let copy = self.tensor::<u8>(name, tensor.bytes as usize);
@@ -89,7 +88,7 @@ impl Recorder {
         }
     }
 
-    /// Records `body` as scope `name`, a row of profiles. Nested scopes are joined by slashes.
+    /// Records `body` as scope `name` of profiles. Nested scopes are joined by slashes.
     pub fn scope<R>(&mut self, name: &str, body: impl FnOnce(&mut Self) -> R) -> R {
         let outer = self.scope;
         let parent = &self.scopes[outer as usize];
@@ -106,7 +105,7 @@ impl Recorder {
         result
     }
 
-    /// Dispatches at least `threads` invocations in whole workgroups.
+    /// Dispatches workgroups of at least `threads` invocations.
     pub fn dispatch<K: Kernel>(&mut self, kernel: K, threads: impl Threads) -> Recorded<'_> {
         let size = kernel.module().local_size.xyz(self.limits.subgroup_size, &kernel.constants());
         let (threads, one_dimensional) = (threads.xyz(), threads.one_dimensional());
@@ -145,7 +144,7 @@ impl Recorder {
         }
     }
 
-    /// Copies `source` to `target`, of the same length.
+    /// Copies between tensors of equal length.
     pub fn copy(&mut self, source: Tensor, target: Tensor) {
         assert_eq!(source.bytes, target.bytes, "copy between tensors of different length");
         if source.bytes > 0 {
@@ -156,7 +155,7 @@ impl Recorder {
     /// Lays out the arena.
     ///
     /// # Errors
-    /// A tensor that exceeds the device's memory or binding limit.
+    /// A tensor beyond the device's memory or binding limit.
     pub fn finish(mut self) -> Result<Plan> {
         if let Some(error) = self.error.take() {
             return Err(error);
@@ -240,7 +239,7 @@ impl Recorder {
 }
 
 impl Operation {
-    /// Calls `visit(tensor, reads, writes)` for each access of the operation.
+    /// Calls `visit(tensor, reads, writes)` for each access.
     pub(crate) fn for_each_access(&self, mut visit: impl FnMut(Tensor, bool, bool)) {
         match self {
             Operation::Dispatch(dispatch) => {

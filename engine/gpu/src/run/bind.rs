@@ -1,17 +1,17 @@
-//! Rebinding of a run to replaced memory of its lane or its residents.
+//! Rebinding of a run to replaced memory.
 
 use super::descriptors::Descriptors;
 use crate::{Error, Resident, Result, Run, plan::Role};
 use std::sync::Arc;
 
-/// Generation of no memory: forces encoding.
+/// Forces encoding.
 const STALE: u64 = u64::MAX;
 
 impl Run {
-    /// Replaces the resident memory of the same layout.
+    /// Replaces the resident of the same layout.
     ///
     /// # Panics
-    /// If the run has no resident of that layout.
+    /// If the run has none.
     pub fn replace_resident(&mut self, resident: Arc<Resident>) {
         let own = self.residents.iter_mut().find(|own| own.layout == resident.layout).expect("a memory of that layout");
         if !Arc::ptr_eq(own, &resident) {
@@ -20,7 +20,7 @@ impl Run {
         }
     }
 
-    /// Prepares the lane: idle, large enough, with other runs' inputs invalidated.
+    /// Prepares the lane: idle, large enough, other runs' inputs invalidated.
     pub(super) fn bind(&mut self) -> Result<()> {
         self.settle()?;
         let generation = self.lane.reserve(&self.plan.blocks)?;

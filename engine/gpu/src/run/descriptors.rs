@@ -1,4 +1,4 @@
-//! Descriptors of a plan's dispatches, written once because buffers never move.
+//! Descriptors of dispatches, written once because buffers never move.
 
 use super::bindings::Bindings;
 use crate::{

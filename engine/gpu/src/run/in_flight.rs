@@ -1,12 +1,12 @@
-//! In-flight submissions, overlapped with work on the host.
+//! Submissions that overlap with work on the host.
 
 use crate::{Result, Run, memory::staging::StagingBuffers};
 
 impl Run {
-    /// Prepares for [`Run::start`]. Adds staging buffers if device memory is not host visible.
+    /// Prepares for [`Run::start`]. Adds staging buffers unless device memory is host visible.
     ///
     /// # Errors
-    /// [`crate::Error::Memory`] if the host has no memory for the staging buffers.
+    /// [`crate::Error::Memory`] without host memory for them.
     pub fn in_flight(mut self) -> Result<Self> {
         self.overlapped = true;
         self.make_staging()?;
@@ -26,8 +26,8 @@ impl Run {
         Ok(())
     }
 
-    /// Submits the whole plan without waiting. [`Run::finish`], writes and other runs of the lane
-    /// wait for it.
+    /// Submits the plan without waiting. [`Run::finish`], writes and other runs of the lane wait
+    /// for it.
     pub fn start(&mut self) -> Result<()> {
         self.begin()?;
         self.encode_all()?;

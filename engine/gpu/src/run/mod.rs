@@ -1,4 +1,4 @@
-//! Plan execution: arena allocation, timed submissions short enough for driver watchdogs.
+//! Plan execution in submissions short enough for driver watchdogs.
 
 mod bind;
 mod bindings;
@@ -55,7 +55,7 @@ pub struct Progress<'a> {
     pub scope: &'a str,
 }
 
-/// A plan bound to a device. Repeated execution replays the encoded commands.
+/// A plan bound to a device. Further executions replay the encoded commands.
 pub struct Run {
     device: Device,
     plan: Plan,
@@ -87,16 +87,12 @@ struct Clock {
 }
 
 impl Run {
-    /// Allocates a plan's arena.
-    ///
-    /// # Errors
-    ///
-    /// Both precede any submission.
+    /// Allocates a plan's arena, before any submission.
     pub fn new(device: &Device, plan: Plan) -> Result<Self> {
         Self::with_resident(device, plan, [])
     }
 
-    /// Allocates as [`Run::new`], for a plan with tensors of these residents.
+    /// As [`Run::new`], for a plan with tensors of these residents.
     pub fn with_resident(
         device: &Device,
         plan: Plan,
@@ -105,11 +101,10 @@ impl Run {
         Self::in_lane(device, Lane::new(device)?, plan, residents.into_iter().collect())
     }
 
-    /// Creates a run as [`Run::with_resident`], in a lane of a shared arena. Another run of the
-    /// lane invalidates inputs and outputs.
+    /// As [`Run::with_resident`], in a lane of a shared arena. Other runs of the lane invalidate
+    /// inputs and outputs.
     ///
     /// # Panics
-    ///
     /// If the plan has constants, which other runs would overwrite.
     pub fn in_arena(
         arena: &Arena,
@@ -165,8 +160,7 @@ impl Run {
     /// Writes a tensor from its start.
     ///
     /// # Panics
-    ///
-    /// If the data is longer than the tensor, or the tensor belongs to another plan.
+    /// For data longer than the tensor, or another plan's tensor.
     pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
@@ -180,10 +174,9 @@ impl Run {
         self.lane.memory().write(place.block, place.offset + tensor.offset, bytes)
     }
 
-    /// Reads an output tensor.
+    /// Reads an output.
     ///
     /// # Panics
-    ///
     /// If the tensor is not an output of this plan, or a started submission was not finished.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
@@ -199,27 +192,26 @@ impl Run {
         Ok(data)
     }
 
-    /// Returns the observed names and tensors in order.
+    /// Returns the observed tensors in order.
     pub fn observed(&self) -> &[(String, Tensor)] {
         &self.plan.observed
     }
 
-    /// Runs the plan to completion.
+    /// Runs the plan.
     ///
     /// # Errors
-    ///
     /// [`Error::DeviceLost`], a driver error, or validation messages.
     pub fn execute(&mut self) -> Result<StageTimes> {
         self.execute_with(|_| ControlFlow::Continue(()))
     }
 
-    /// Runs the plan to completion. Calls `progress` between submissions, which may stop the run.
+    /// As [`Run::execute`]. `progress` is called between submissions and may stop the run.
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.begin()?;
         // Set before a panic in `progress` can unwind.
         self.in_flight = true;
         let result = self.submit_all(&mut progress);
-        // Submissions must end before their resources change.
+        // Submissions end before their resources change.
         let idle = self.lane.wait(self.signalled);
         self.in_flight = false;
         self.forget_inputs();
@@ -331,7 +323,7 @@ impl Run {
         self.submit_between(commands, &[], &[])
     }
 
-    /// Submits between semaphore values; returns the timeline's own value at the end.
+    /// Submits between semaphore values; returns the timeline's value at the end.
     fn submit_between(&mut self, commands: vk::CommandBuffer, waits: &[Point], signals: &[Point]) -> Result<u64> {
         let value = self.lane.next_value()?;
         let own = Point { semaphore: self.lane.timeline().as_raw(), value };

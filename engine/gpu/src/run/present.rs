@@ -1,7 +1,7 @@
 use crate::{Error, Result, Run, Tensor, device::failure::driver};
 use ash::vk::{self, Handle};
 
-/// Destination in an app's device memory, with semaphores for synchronization.
+/// Destination in an app's device memory, with semaphores.
 #[derive(Clone, Debug)]
 pub struct Target {
     place: Place,
@@ -31,7 +31,7 @@ pub struct ImagePlace {
     pub mip_level: u32,
     /// Array layer.
     pub array_layer: u32,
-    /// Current `VkImageLayout` of the level and layer.
+    /// Current `VkImageLayout`.
     pub old_layout: i32,
     /// `VkImageLayout` after the copy.
     pub new_layout: i32,
@@ -57,22 +57,20 @@ impl Target {
     /// Targets a buffer with transfer-destination usage.
     ///
     /// # Safety
-    /// See [`Target::image`]; the copied data fits after `offset`, a multiple of 4.
+    /// As [`Target::image`]; the copied data fits after `offset`, a multiple of 4.
     pub unsafe fn buffer(buffer: u64, offset: u64, waits: Vec<Point>, signals: Vec<Point>) -> Self {
         Self { place: Place::Buffer { buffer, offset }, waits, signals }
     }
 }
 
 impl Run {
-    /// Submits a copy of an output to `target` without waiting. The next write to this run, and its
-    /// drop, wait for the copy.
+    /// Submits a copy of an output to `target` without waiting. The run's next write and its drop
+    /// wait for the copy.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`].
     ///
     /// # Panics
-    ///
     /// If the tensor is not an output of this plan.
     pub fn present(&mut self, tensor: Tensor, target: &Target) -> Result<()> {
         let handle = match target.place {

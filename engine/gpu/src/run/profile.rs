@@ -10,7 +10,7 @@ use std::{collections::HashMap, time::Duration};
 /// Device time of a run by scope and kernel.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Profile {
-    /// One row per kernel and scope, in order of first use.
+    /// Rows in order of first use.
     pub rows: Vec<ProfileRow>,
 }
 
@@ -25,14 +25,14 @@ pub struct ProfileRow {
     pub count: u32,
     /// Total device time.
     pub time: Duration,
-    /// Total FLOPs.
+    /// FLOPs.
     pub flops: u64,
-    /// Bytes of the tensors read and written, once per command.
+    /// Bytes of the tensors read and written.
     pub bytes: u64,
 }
 
 impl Profile {
-    /// Sums time and FLOPs of rows whose scope starts with `prefix`.
+    /// Sums time and FLOPs of scopes that start with `prefix`.
     pub fn total(&self, prefix: &str) -> (Duration, u64) {
         self.rows
             .iter()
@@ -40,7 +40,7 @@ impl Profile {
             .fold((Duration::ZERO, 0), |(time, flops), r| (time + r.time, flops + r.flops))
     }
 
-    /// Returns the rows of a plan with zero times.
+    /// Returns rows with zero times.
     pub fn outline(plan: &Plan) -> Self {
         Self::new(plan, &vec![0.0; plan.len()])
     }
@@ -74,11 +74,10 @@ fn kernel_name(command: &Command) -> &'static str {
 }
 
 impl Run {
-    /// Runs the plan with a timestamp around every command, which prevents overlap of commands.
+    /// Runs the plan with a timestamp around every command, which prevents overlap.
     ///
     /// # Errors
-    ///
-    /// See [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) without timestamps.
+    /// As [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) without timestamps.
     pub fn profile(&mut self) -> Result<Profile> {
         self.device.limits().check_timestamps()?;
         self.begin()?;

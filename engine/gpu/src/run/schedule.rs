@@ -1,4 +1,4 @@
-//! Splits plans into submissions of similar cost, short enough for driver watchdogs.
+//! Splits plans into submissions of similar cost.
 
 use crate::{
     Limits,
@@ -6,16 +6,15 @@ use crate::{
 };
 use std::time::Duration;
 
-/// Target time of a submission: long enough to hide its overhead, far below the 2 s timeout of
-/// watchdogs.
+/// Target time of a submission: hides its overhead, far below the 2 s timeout of watchdogs.
 pub(crate) const SUBMISSION: Duration = Duration::from_millis(100);
 
-/// Approximate FLOPs in the time of one byte's transfer, on CPUs and GPUs alike.
+/// FLOPs in the time of one byte's transfer, roughly on CPUs and GPUs alike.
 const FLOPS_PER_BYTE: u64 = 4;
 
 pub(crate) const MAX_PIECES: usize = 1024;
 
-/// Below most devices of its kind, so that the first submissions are not too long.
+/// Below most devices of its kind, to keep the first submissions short.
 pub(crate) fn first_guess(limits: &Limits) -> u64 {
     match (limits.cpu, limits.discrete) {
         (true, _) => 10_000_000,
@@ -49,7 +48,7 @@ pub(crate) struct Piece {
     pub groups: [u32; 3],
 }
 
-/// Scheduling position: the next command and its completed workgroups along the split axis.
+/// The next command and its completed workgroups along the split axis.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Cursor {
     pub command: usize,

@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-/// Time per stage of a run, measured on the host.
+/// Time per stage, measured on the host.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct StageTimes(pub Vec<(String, Duration)>);
 

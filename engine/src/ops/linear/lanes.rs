@@ -12,12 +12,9 @@ use crate::{
 };
 use std::fmt;
 
-/// Lane configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lanes {
-    /// Type of the factors.
     pub element: Element,
-    /// Tiles by result size.
     pub tiles: Tiles,
 }
 
@@ -40,7 +37,7 @@ impl Lanes {
 }
 
 impl LaneTile {
-    /// Returns the candidates, defaults first.
+    /// Candidates, defaults first.
     pub fn candidates(limits: &Limits, element: Element) -> Vec<Self> {
         if element == Element::I8 {
             return Self::of_dots(limits);

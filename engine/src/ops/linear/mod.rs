@@ -1,4 +1,4 @@
-/// Builds a linear kernel of `$linear` from its own fields and those that all variants share.
+/// Sets the fields that all variants of a linear kernel share.
 macro_rules! linear_kernel {
     ($kernel:ident, $linear:ident, $input:ident, $out:ident, $epilogue:ident, { $($own:tt)* }) => {
         ops::$kernel {
@@ -38,11 +38,10 @@ use crate::{
 };
 use half::f16;
 
-/// Minimum row bytes in chunking: limits workgroups per axis to Vulkan's guaranteed 65,535.
+/// Minimum row bytes in chunking: limits workgroups per axis to 65,535.
 pub(crate) const NARROWEST: usize =
     (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
 
-/// Linear layer parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
     /// Packed weight, see [`pack_matrix`](super::pack_matrix).
@@ -53,11 +52,10 @@ pub struct Linear {
     pub inner: usize,
     /// Outputs, before SwiGLU.
     pub columns: usize,
-    /// Kernel.
     pub kernel: LinearKernel,
 }
 
-/// Linear kernel and weight layout.
+/// Kernel and weight layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
     /// ops/linear, ops/linear_uniform or ops/linear_tiled. The weight is `[panels, inner,
@@ -70,7 +68,6 @@ pub enum LinearKernel {
     Dots(Tiles),
 }
 
-/// Storage of a weight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
     /// In the factor type.
@@ -79,7 +76,6 @@ pub enum Weights {
     Q8,
 }
 
-/// Pointwise function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Activation {
     /// Identity.
@@ -94,7 +90,6 @@ pub enum Activation {
 /// out = residual + gamma * activation(linear(x)).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Epilogue {
-    /// Pointwise function.
     pub activation: Activation,
     /// LayerScale, `[columns]` f32.
     pub gamma: Option<Tensor>,
@@ -103,7 +98,6 @@ pub struct Epilogue {
 }
 
 impl LinearKernel {
-    /// Input type.
     pub fn element(self) -> Element {
         match self.factor() {
             Element::I8 => Element::F16,
@@ -111,7 +105,6 @@ impl LinearKernel {
         }
     }
 
-    /// Factor type.
     pub fn factor(self) -> Element {
         match self {
             LinearKernel::Panels(Lanes { element, .. }, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => {
@@ -121,7 +114,6 @@ impl LinearKernel {
         }
     }
 
-    /// Weight storage.
     pub fn weights(self) -> Weights {
         match self {
             LinearKernel::Panels(_, weights) | LinearKernel::Matrix(_, weights) => weights,
@@ -129,7 +121,7 @@ impl LinearKernel {
         }
     }
 
-    /// Returns this kernel with 8-bit weights, if supported.
+    /// This kernel with 8-bit weights, if supported.
     pub fn with_q8(self) -> Option<Self> {
         match self {
             LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => None,
@@ -156,7 +148,6 @@ pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
 }
 
 impl Linear {
-    /// Input type.
     pub fn element(&self) -> Element {
         self.kernel.element()
     }
@@ -166,14 +157,13 @@ impl Linear {
         if activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Applies the layer, returning rows of type `output`.
+    /// Returns rows of type `output`.
     pub fn apply(&self, rec: &mut Recorder, name: &str, input: Rows, output: Element, epilogue: Epilogue) -> Rows {
         let out = Rows::scratch(rec, name, input.count, self.out_columns(epilogue.activation), output);
         self.record(rec, input, out, epilogue);
         out
     }
 
-    /// Applies the layer into `out`.
     pub fn record(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
         let alone = epilogue.gamma.is_none() && epilogue.residual.is_none() && self.columns.is_multiple_of(4);
         assert!(alone || epilogue.activation != Activation::SwiGlu, "SwiGLU comes alone and in whole vec4");

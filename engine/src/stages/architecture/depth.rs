@@ -11,19 +11,16 @@ use serde::{Deserialize, Serialize};
 pub const DEPTH_MODELS: [&str; 6] =
     ["da3-small", "da3-base", "da3-large", "da3-giant", "da3mono-large", "da3metric-large"];
 
-/// Depth network hyperparameters. Source: Depth Anything 3.
+/// Hyperparameters of Depth Anything 3.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DepthArchitecture {
-    /// Name in messages.
     pub name: String,
     /// Transformer with four out layers; alternating attention implies joint views and cameras.
     pub backbone: BackboneArchitecture,
-    /// Head feature channels.
     pub features: usize,
-    /// Level channels.
+    /// Per level.
     pub channels: [usize; 4],
-    /// Whether there is a Gaussian head.
     pub gaussians: bool,
 }
 
@@ -85,7 +82,6 @@ impl DepthArchitecture {
         self.backbone.alternates()
     }
 
-    /// Feature channels.
     pub fn feature_width(&self) -> usize {
         self.backbone.width * if self.multi_view() { 2 } else { 1 }
     }
@@ -126,12 +122,10 @@ impl DepthArchitecture {
         expect(channels, "channels", format!("{:?}", self.channels), "multiples of 4")
     }
 
-    /// Number of parameter values.
     pub fn parameter_count(&self) -> usize {
         self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
     }
 
-    /// Parameter names and shapes.
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
         let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
         DepthStages::new(&mut declared, self);

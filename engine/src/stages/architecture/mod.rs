@@ -29,22 +29,15 @@ const MAX_SH_DEGREE: usize = 3;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
-    /// Name in messages.
     pub name: String,
-    /// Token channels, D.
     pub width: usize,
-    /// Backbone blocks.
     pub depth: usize,
-    /// Heads per backbone block.
     pub heads: usize,
-    /// Backbone feed-forward network.
     pub ffn: Ffn,
-    /// Its hidden channels; for SwiGLU, those of `gate`.
+    /// Hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
-    /// Patch side in pixels.
     #[serde(rename = "patch")]
     pub patch_size: usize,
-    /// Side of the learned position grid.
     pub position_grid: usize,
     /// First block that may be global, where camera tokens enter.
     pub alt_start: usize,
@@ -54,29 +47,18 @@ pub struct Architecture {
     pub rope_start: usize,
     /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
-    /// Camera encoder blocks.
     pub camera_depth: usize,
-    /// Camera encoder attention heads.
     pub camera_heads: usize,
-    /// Camera encoder feed-forward channels.
     pub camera_hidden: usize,
-    /// Pose embedding channels.
     pub camera_pose_hidden: usize,
-    /// Fusion heads.
     pub fusion_heads: usize,
-    /// Fusion feed-forward channels.
     pub fusion_hidden: usize,
-    /// Color token channels.
     pub color_width: usize,
-    /// Color attention heads.
     pub color_heads: usize,
-    /// Color feed-forward channels.
     pub color_hidden: usize,
-    /// Gaussian head channels.
     pub head_hidden: usize,
-    /// Gaussians per token.
     pub gaussians_per_token: usize,
-    /// SH degree, at most 3.
+    /// At most 3.
     pub sh_degree: usize,
 }
 
@@ -132,7 +114,6 @@ impl Architecture {
         })
     }
 
-    /// Sizes of the transformer.
     pub fn backbone(&self) -> BackboneArchitecture {
         BackboneArchitecture {
             root: "backbone.backbone".into(),
@@ -163,7 +144,6 @@ impl Architecture {
         11 + 3 * (self.sh_degree + 1).pow(2)
     }
 
-    /// Number of parameter values.
     pub fn parameter_count(&self) -> usize {
         self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
     }

@@ -8,7 +8,6 @@ use crate::{
     stages::{Architecture, SceneGradients, SceneTensors},
 };
 
-/// Head parameters, forward and transposed.
 pub struct Head {
     layers: [Linear; 3],
     transposed: [Linear; 3],
@@ -37,7 +36,6 @@ pub(super) fn layers(a: &Architecture) -> [(String, usize, usize); 3] {
 }
 
 impl Head {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self {
             layers: layers(a).map(|(name, inner, columns)| p.exact_linear(&name, inner, columns)),
@@ -47,15 +45,13 @@ impl Head {
         }
     }
 
-    /// Allocates persistent activations.
     pub fn keep(&self, layout: &mut ResidentLayout, count: usize, scene_scale: Tensor) -> HeadKept {
         let mut rows = |layer: &Linear| Rows::new(layout.add::<f32>(count * layer.columns), count, layer.columns);
         let [first, _, third] = &self.layers;
         HeadKept { hidden: rows(first), raw: rows(third), scene_scale }
     }
 
-    /// Records the head for f32 `tokens`: scene tokens, then colors. `scene_scale` (`[1]` f32)
-    /// scales lengths.
+    /// `tokens` are f32 scene tokens, then colors. `scene_scale` (`[1]` f32) scales lengths.
     pub fn record(&self, rec: &mut Recorder, tokens: Rows, scene_scale: Tensor, into: &SceneTensors) -> HeadKept {
         let [first, _, third] = &self.layers;
         let kept = rec.scope("head", |rec| {
@@ -127,7 +123,7 @@ impl Head {
     }
 }
 
-/// GELU, or its backward pass for a `gradient`; then `out` may alias the gradient.
+/// GELU, or with a `gradient` its backward pass; then `out` may alias the gradient.
 fn gelu(rec: &mut Recorder, source: Rows, gradient: Option<Rows>, out: Rows) {
     let backward = gradient.is_some();
     let rows = [source, gradient.unwrap_or(source), out];

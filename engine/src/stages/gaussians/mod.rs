@@ -18,7 +18,6 @@ pub use head::{Head, HeadKept};
 
 const EPS: f32 = 1e-5;
 
-/// Color branch and head parameters.
 pub struct Gaussians {
     color_embed: Linear,
     color_cross: CrossBlock,
@@ -26,7 +25,6 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.color_heads, a.color_width);
         Self {
@@ -52,8 +50,7 @@ impl Gaussians {
         })
     }
 
-    /// Records the head for f32 scene tokens and colors. A token's Gaussians are consecutive;
-    /// `scene_scale` (`[1]` f32) scales lengths.
+    /// Records the head for f32 scene tokens and colors. A token's Gaussians are consecutive.
     pub fn record(&self, rec: &mut Recorder, tokens: [Rows; 2], scene_scale: Tensor, into: &SceneTensors) {
         let raw = rec.scope("head", |rec| {
             let [first, second, third] = &self.head;

@@ -12,7 +12,6 @@ pub(super) struct CameraDecoder {
     fov: Convolution,
 }
 
-/// Camera outputs, f32.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraTensors {
     /// `[views, 3]`: camera centers.

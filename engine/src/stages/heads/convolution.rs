@@ -12,14 +12,12 @@ pub struct Convolution {
     step: usize,
 }
 
-/// Fused pre- and postprocessing.
 #[derive(Clone, Copy, Default)]
 pub struct ConvolutionOptions {
     /// ReLU on the input.
     pub rectified: bool,
     /// Exact (erf) GELU.
     pub gelu: bool,
-    /// Residual.
     pub residual: Option<FeatureMap>,
 }
 
@@ -58,7 +56,6 @@ impl Convolution {
         out
     }
 
-    /// Records the convolution.
     pub fn record_into(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, options: ConvolutionOptions) {
         if divides_panels(rec.limits()) {
             let bordered = self.bordered(rec, source, options.rectified);

@@ -22,7 +22,6 @@ pub(super) struct Dpt {
     placed: bool,
 }
 
-/// Outputs of a view.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewTensors {
     /// `[height, width, 2]` f32: log depth, log (confidence - 1); depth alone for separate views.

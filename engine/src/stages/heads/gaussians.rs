@@ -24,12 +24,11 @@ pub(super) struct GaussianHead {
     tail: Tail,
 }
 
-/// Tensors of a view's Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub struct GaussianTensors {
-    /// Input `[height, width, 4]` f32: the normalized image.
+    /// `[height, width, 4]` f32: the normalized image.
     pub picture: Tensor,
-    /// Output `[height, width, GAUSSIAN_VALUES]`.
+    /// `[height, width, GAUSSIAN_VALUES]`.
     pub values: Tensor,
 }
 

@@ -43,7 +43,7 @@ impl Levels {
         }
     }
 
-    /// Returns a view's levels, shallowest first.
+    /// Shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

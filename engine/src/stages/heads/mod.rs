@@ -30,26 +30,22 @@ use dpt::Dpt;
 use gaussians::GaussianHead;
 use position::Positions;
 
-/// Head parameters.
 pub struct DepthHeads {
     dpt: Dpt,
     camera: Option<CameraDecoder>,
     gaussians: Option<GaussianHead>,
 }
 
-/// Head outputs and host inputs.
 pub struct HeadTensors {
-    /// Per view.
     pub views: Vec<ViewTensors>,
-    /// Per view, with a Gaussian head.
+    /// With a Gaussian head.
     pub gaussians: Vec<GaussianTensors>,
-    /// Cameras of joint views.
+    /// Of joint views.
     pub cameras: Option<CameraTensors>,
     positions: Positions,
 }
 
 impl DepthHeads {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
         Self {
             dpt: Dpt::new(p, a),
@@ -58,7 +54,7 @@ impl DepthHeads {
         }
     }
 
-    /// Records the heads view by view, bounding scratch.
+    /// View by view, to bound scratch.
     pub fn record(&self, rec: &mut Recorder, features: &DepthFeatures, grid: ViewGrid) -> HeadTensors {
         let mut positions = Positions::new(grid);
         let cameras = self.camera.as_ref().zip(features.cameras);

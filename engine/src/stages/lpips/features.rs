@@ -3,7 +3,7 @@ use crate::{
     kernels::{lpips as kernels, ops::Im2col},
     ops::{Epilogue, FeatureMap, Linear, Rows, row_chunks},
 };
-/// Fraction of a binding per step, which bounds scratch.
+/// Fraction of a binding per step, to bound scratch.
 const SHARE: usize = 8;
 
 pub struct Convolution {

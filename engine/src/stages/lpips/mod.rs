@@ -15,7 +15,6 @@ use crate::{
 use features::{Convolution, Inputs, Pool};
 use network::Recipe;
 
-/// Number of compared layers.
 pub const TAPS: usize = 5;
 
 struct Layer {
@@ -26,7 +25,6 @@ struct Layer {
     tap: Option<Tensor>,
 }
 
-/// Network parameters.
 pub struct Lpips {
     layers: Vec<Layer>,
 }
@@ -36,18 +34,16 @@ pub struct Lpips {
 pub struct LpipsPictures {
     /// Images and their channels, RGB first.
     pub pictures: [(Tensor, usize); 2],
-    /// Height and width.
     pub size: [usize; 2],
-    /// Whether to clamp to 0..1, as in the reference's loss only.
+    /// Clamps to 0..1, as in the reference's loss only.
     pub clipped: bool,
 }
 
-/// Distance on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct LpipsTensors {
     /// `[1]` f32.
     pub value: Tensor,
-    /// `[TAPS]` f32, per layer.
+    /// `[TAPS]` f32.
     pub layers: Tensor,
 }
 
@@ -76,8 +72,7 @@ impl Lpips {
         Self { layers: network.recipes().into_iter().enumerate().map(layer).collect() }
     }
 
-    /// Records the distance. `gradient` is a weight and the tensor to accumulate the first image's
-    /// gradient in.
+    /// `gradient` is a weight and the tensor to accumulate the first image's gradient in.
     pub fn record(&self, rec: &mut Recorder, of: LpipsPictures, gradient: Option<(f32, Tensor)>) -> LpipsTensors {
         rec.scope("lpips", |rec| {
             let value = rec.tensor::<f32>("lpips", 1);

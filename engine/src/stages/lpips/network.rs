@@ -1,11 +1,10 @@
 use super::features::Pool;
 
-/// Feature network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LpipsNetwork {
-    /// VGG16: the reference's.
+    /// VGG16, as the reference.
     Vgg,
-    /// AlexNet: for evaluation, and faster.
+    /// AlexNet: faster, for evaluation.
     Alex,
 }
 
@@ -19,7 +18,6 @@ pub(super) struct Recipe {
 }
 
 impl LpipsNetwork {
-    /// Name in files and options.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vgg => "vgg",
@@ -27,7 +25,6 @@ impl LpipsNetwork {
         }
     }
 
-    /// Smallest supported image side.
     pub fn least_side(self) -> u32 {
         match self {
             Self::Vgg => 16,

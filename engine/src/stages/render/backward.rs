@@ -17,21 +17,19 @@ use crate::{
 /// Tensors to accumulate gradients in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gradients {
-    /// Gradients of the Gaussians.
     pub scene: Option<SceneGradients>,
     /// `[cameras, 10]` f32: w x, y, z, v x, y, z for the update pose o (exp(w^), v) of
     /// camera-to-world; fx, fy, cx, cy.
     pub cameras: Option<Tensor>,
 }
 
-/// Gradients per camera.
 pub const CAMERA_NUMBERS: usize = 10;
 pub(super) const PAIR_NUMBERS: usize = 10;
 const PART: usize = 64;
 const BAND: usize = 64;
 const FLOPS: u64 = 60;
 
-/// Per pair of a Gaussian and a camera: conics and the kernels' gradients of projected splats.
+/// Per Gaussian-camera pair.
 #[derive(Clone, Copy)]
 pub struct SplatGradients {
     /// `[pairs, 3]` f32; undefined if culled.
@@ -41,7 +39,7 @@ pub struct SplatGradients {
 }
 
 impl SplatGradients {
-    /// Converts both tensors' values to gradients of projected centers, in pixels.
+    /// Gradients of projected centers, in pixels.
     pub(super) fn means2d(conics: &[[f32; 3]], d_pairs: &[[f32; PAIR_NUMBERS]]) -> Vec<[f32; 2]> {
         let gradient = |([a, k, p], [_, e, y, ..]): (&[f32; 3], &[f32; PAIR_NUMBERS])| {
             let along = a * e;

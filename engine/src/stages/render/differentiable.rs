@@ -66,12 +66,10 @@ impl Differentiator {
     /// Returns gradients of the sum of pixels times `weights`. `None` weights are zero.
     ///
     /// # Errors
-    ///
     /// [`Error::Argument`] for invalid input or rotations out of range; [`Error::Memory`] if one
     /// image does not fit.
     ///
     /// # Panics
-    ///
     /// If `options` has outputs without gradients.
     pub fn differentiate(
         &mut self,

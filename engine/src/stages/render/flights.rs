@@ -22,7 +22,6 @@ impl Renderer {
     /// Renders each camera, passing images to `done` in order.
     ///
     /// # Errors
-    ///
     /// As [`Renderer::render`], and the first error of `done`.
     pub fn render_each(
         &mut self,

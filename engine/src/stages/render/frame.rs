@@ -20,7 +20,7 @@ pub struct RenderOptions {
     pub background: [f32; 3],
     /// Opacity compensation for screen-space blur (Mip-Splatting, Yu et al. 2024).
     pub antialiased: bool,
-    /// Near plane in world units, positive; `None` uses [`Scene::near`].
+    /// Near plane in world units, positive, by default [`Scene::near`].
     pub near: Option<f32>,
     /// Device layout, for [`super::Renderer::render_to`].
     pub layout: Option<PixelLayout>,
@@ -118,7 +118,7 @@ impl RenderOutput {
         Image::from_rgb_f32(self.width, self.height, rgb)?.save_png(path)
     }
 
-    /// Splits a frame; single outputs are moved, since copies are expensive.
+    /// Single outputs are moved, since copies are expensive.
     pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, options: &RenderOptions) -> Self {
         let channels = options.channels();
         let mut first = 0;

@@ -1,5 +1,3 @@
-//! Depth-sorted Gaussians per tile.
-//!
 //! A depth sort, then a tile sort; both are stable, so the longer list needs few bits.
 
 use super::{FrameShape, project::Splats};

@@ -39,7 +39,6 @@ pub(crate) use range::check_camera;
 pub use renderer::Renderer;
 pub use scene::{DeviceScene, SceneMemory, SceneSource, WeakScene};
 
-/// Outputs of [`record`].
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32, the requested of RGB, alpha, depth, normals, token
@@ -53,9 +52,6 @@ pub struct RenderOutputs {
 
 impl RenderOutputs {
     /// Reads the required capacity, at most 2^32. Redraw if it exceeds the recorded one.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn needed(&self, run: &Run) -> Result<usize> {
         let status: Vec<u32> = run.read(self.status)?;
         Ok(if status[2] == 0 { status[1] as usize } else { 1 << 32 })

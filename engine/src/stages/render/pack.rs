@@ -15,7 +15,6 @@ pub enum PixelLayout {
 }
 
 impl PixelLayout {
-    /// Bytes per pixel.
     pub fn bytes(self) -> usize {
         if self == Self::RgbaF32 { 16 } else { 4 }
     }

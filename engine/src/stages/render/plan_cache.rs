@@ -1,21 +1,16 @@
-//! Cached plans that draw, with more capacity after their intersections overflow.
-
 use super::FrameShape;
 use crate::{Error, Result, gpu::Limits};
 
-/// Maximum cached plans.
 const PLANS: usize = 4;
 
-/// Key of a plan in a [`PlanCache`].
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PlanKey<K> {
     pub shape: FrameShape,
-    /// Whether the plan has a backward pass.
     pub backward: bool,
     pub options: K,
 }
 
-/// Cache of the plans that were used last.
+/// Cache of recently used plans, with more capacity after their intersections overflow.
 pub(crate) struct PlanCache<K, P> {
     /// Least recently used first.
     entries: Vec<Entry<K, P>>,
@@ -26,7 +21,6 @@ pub(crate) struct PlanCache<K, P> {
 
 struct Entry<K, P> {
     key: PlanKey<K>,
-    /// Intersections of all cameras.
     capacity: usize,
     plan: P,
 }
@@ -48,8 +42,7 @@ impl<K: PartialEq, P> PlanCache<K, P> {
         self.entries.iter_mut().map(|entry| &mut entry.plan)
     }
 
-    /// Returns the plan of `key` and marks it as used last. If it is missing, `record` records it
-    /// with a capacity.
+    /// Returns the plan of `key`, which `record` records with a capacity if it is missing.
     pub fn get(&mut self, key: PlanKey<K>, record: impl FnOnce(usize) -> Result<P>) -> Result<&mut P> {
         let entry = match self.entries.iter().position(|entry| entry.key == key) {
             Some(index) => self.entries.remove(index),
@@ -65,8 +58,8 @@ impl<K: PartialEq, P> PlanCache<K, P> {
         Ok(&mut self.entries.last_mut().expect("just pushed").plan)
     }
 
-    /// Returns the plan that was used last if `needed` intersections fit into it. Otherwise drops
-    /// it, and the next one is larger.
+    /// Returns the last used plan if `needed` intersections fit. Otherwise drops it, and the next
+    /// one is larger.
     ///
     /// # Errors
     /// [`Error::Memory`] if no plan can be large enough.
@@ -85,12 +78,12 @@ impl<K: PartialEq, P> PlanCache<K, P> {
     }
 }
 
-/// Initial capacity, a few tiles per Gaussian.
+/// A few tiles per Gaussian.
 pub fn first_capacity(gaussians: usize) -> usize {
     (4 * gaussians).max(1 << 16)
 }
 
-/// Capacity of a plan: `each` per camera, as far as its tensors can be bound.
+/// `each` per camera, as far as its tensors can be bound.
 pub(crate) fn planned_capacity(max_binding_bytes: u64, each: usize, shape: FrameShape, backward: bool) -> usize {
     each.saturating_mul(shape.cameras).min((max_binding_bytes / intersection_bytes(backward)) as usize)
 }

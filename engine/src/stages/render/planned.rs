@@ -7,7 +7,7 @@ use crate::{
     gpu::{Arena, Limits, Plan, Recorder, Run, Tensor},
 };
 
-/// Batch that fills a GPU; CPUs cache best with one.
+/// Fills a GPU; CPUs cache best with one.
 const GPU_TOGETHER: usize = 8;
 
 /// With the arena's lane.

@@ -6,8 +6,7 @@ use crate::{
 };
 use glam::DVec4;
 
-/// A camera for kernels: rows of the world-to-camera rotation with the center, then `(fx, fy, cx,
-/// cy)` in pixels.
+/// Rows of the world-to-camera rotation with the center, then `(fx, fy, cx, cy)` in pixels.
 pub type CameraRows = [[f32; 4]; 8];
 
 /// Converts a camera to 48-bit precision.

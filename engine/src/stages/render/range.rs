@@ -2,7 +2,7 @@ use super::RenderOptions;
 use crate::{Error, Result, types::Camera};
 use std::borrow::Cow;
 
-/// Longest image side: 32-bit pixel indices, rounding margins.
+/// Maximum image side: 32-bit pixel indices, rounding margins.
 pub const MAX_SIDE: u32 = 1 << 15;
 /// Largest coordinate and range of intrinsics, for f32.
 const FARTHEST: f64 = 1e30;

@@ -34,7 +34,7 @@ impl Renderer {
         Self { plans: PlanCache::new(device.limits(), capacity), ..Self::in_arena(&Arena::new(device)) }
     }
 
-    /// Creates a renderer in a shared arena; it moves to its own if that is busy.
+    /// Creates a renderer in a shared arena, or its own if that is busy.
     pub fn in_arena(arena: &Arena) -> Self {
         Self {
             arena: arena.clone(),
@@ -58,10 +58,7 @@ impl Renderer {
         self
     }
 
-    /// Sets the scene, and renders it with each camera.
-    ///
-    /// # Errors
-    /// Those of [`Renderer::set_scene`] and [`Renderer::render`].
+    /// Sets the scene and renders it with each camera.
     pub fn render_scene(
         &mut self,
         scene: &Scene,
@@ -167,8 +164,8 @@ impl Renderer {
         options.skipped_passes(degrees.0, degrees.1)
     }
 
-    /// Renders into an application's image or buffer on the device. On return the copy is
-    /// submitted; the next rendering of this size waits for it.
+    /// Renders into an application's image or buffer. On return the copy is submitted; the next
+    /// rendering of this size waits for it.
     pub fn render_to(
         &mut self,
         camera: &Camera,

@@ -14,10 +14,8 @@ pub struct DeviceScene(Arc<Gaussians>);
 /// A scene for [`Renderer::set_scene`](super::Renderer::set_scene).
 #[derive(Clone, Copy, Debug)]
 pub enum SceneSource<'a> {
-    /// In host memory.
     Host(&'a Scene),
-    /// On the device, in the frame of a camera with this pose in the scene's world, if not in the
-    /// world itself.
+    /// With the pose of its frame in the scene's world, if that is not the world itself.
     Device(&'a DeviceScene, Option<Pose>),
 }
 
@@ -68,7 +66,6 @@ pub struct SceneMemory {
 }
 
 impl SceneMemory {
-    /// Allocates a layout.
     pub fn new(device: &Device, layout: &ResidentLayout, tensors: SceneTensors) -> Result<Self> {
         let memory = Arc::new(Resident::new(device, layout)?);
         Ok(Self { memory, tensors, arena: None, user: Weak::new() })
@@ -80,12 +77,10 @@ impl SceneMemory {
         self
     }
 
-    /// Whether the scene was dropped.
     pub fn is_free(&self) -> bool {
         self.user.strong_count() == 0
     }
 
-    /// Memory for plans.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.memory
     }
@@ -119,44 +114,36 @@ impl SceneMemory {
         Ok(self.scene(scene.sh_degree, scene.near()))
     }
 
-    /// Tensors in this memory.
     pub fn tensors(&self) -> &SceneTensors {
         &self.tensors
     }
 }
 
 impl DeviceScene {
-    /// Reads the Gaussians.
     pub fn read(&self) -> Result<Scene> {
         self.0.tensors.read(&self.0.memory)
     }
 
-    /// Returns a weak reference.
     pub fn downgrade(&self) -> WeakScene {
         WeakScene(Arc::downgrade(&self.0))
     }
 
-    /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.0.tensors.len
     }
 
-    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.0.memory.bytes()
     }
 
-    /// Tensors in [`DeviceScene::resident`].
     pub fn tensors(&self) -> &SceneTensors {
         &self.0.tensors
     }
 
-    /// Memory for plans.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.0.memory
     }

@@ -29,8 +29,8 @@ impl Weights {
         Self { highest, first, rises, total, unit, least }
     }
 
-    /// Returns the relative error of a score `below` the highest, after exp and each rescale.
-    /// exp(0) is assumed to be 1.
+    /// Relative error of a score `below` the highest, after exp and each rescale. exp(0) is assumed
+    /// to be 1.
     fn relative(&self, below: f64) -> f64 {
         (3.0 * (1 + self.rises) as f64 + 2.0 * below) * ULP + self.unit
     }
@@ -81,7 +81,6 @@ impl Problem {
         Row { scores, errors }
     }
 
-    /// Returns the error bounds of one query's channels.
     pub fn bounds(&self, mode: Mode, row: &Row, head: usize, keys: &Keys, out: &[f64]) -> Vec<f64> {
         let factors = mode.factors();
         let weights = Weights::new(mode, &row.scores);

@@ -80,21 +80,20 @@ pub fn area() -> Area {
     area
 }
 
-/// Returns a problem with the rounding of random sums, with and without addresses.
+/// Rounding of random sums, with and without addresses.
 fn variants(problem: Problem) -> [Problem; 2] {
     let without_addresses: fn(&mut Limits) = |limits| limits.addresses = false;
     let problem = Problem { is_tame: true, ..problem };
     [Problem { limits: without_addresses, ..problem.clone() }, problem]
 }
 
-/// Rounds queries and keys to whole numbers, whose products add exactly.
+/// Whole numbers, whose products add exactly.
 fn whole(mut problem: Problem, [q, k]: [fn(f32) -> f32; 2]) -> Problem {
     problem.q.iter_mut().for_each(|x| *x = q(*x).round());
     problem.k.iter_mut().for_each(|x| *x = k(*x).round());
     problem
 }
 
-/// Shapes of heads, queries, keys and sequences.
 pub fn shapes() -> Area {
     let mut area = Area { cases: Vec::new(), ..area() };
     for dim in [4, 8, 16, 24, 32, 48, 64, 96, 128] {
@@ -143,7 +142,7 @@ pub fn shapes() -> Area {
     area
 }
 
-/// Limits channel c to the c-th part of the keys: a missing part shows.
+/// Limits channel c to the c-th part of the keys, so that a missing part shows.
 fn sliced(queries: usize, keys: usize) -> Problem {
     let mut problem = Problem::random(queries, keys, 64, 1.0);
     for (i, v) in problem.v.iter_mut().enumerate() {
@@ -155,7 +154,7 @@ fn sliced(queries: usize, keys: usize) -> Problem {
     problem
 }
 
-/// Takes three views whose last groups have fewer patches.
+/// The views' last groups have fewer patches.
 fn pooled(pool: Pool) -> Problem {
     Problem { pool: Some(pool), ..Problem::random(17, 3 * pool.tokens(), 64, 1.0) }
 }
@@ -169,7 +168,7 @@ fn identical(keys: usize) -> Problem {
     problem
 }
 
-/// Aligns the i-th dominating key with the i-th query.
+/// The i-th dominating key is aligned with the i-th query.
 fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     let mut problem = Problem::random(dominating.len(), keys, dim, 4.0);
     let width = problem.width();
@@ -180,7 +179,7 @@ fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     problem
 }
 
-/// Forces rescaling by increasing scores.
+/// Increasing scores force rescaling.
 fn rising(keys: usize) -> Problem {
     let mut problem = Problem::random(5, keys, 64, 1.0);
     problem.q.fill(1.0);

@@ -13,18 +13,14 @@ pub enum Fault {
     NoScale,
     /// exp of f32 scores without the maximum.
     NoMaximum,
-    /// Sums not rescaled when the maximum rises.
     SumsNotScaled,
-    /// Total weight not rescaled when the maximum rises.
     TotalNotScaled,
     NoTotal,
     HalfSum,
     HalfWeights,
     HalfScores,
     NoCounts,
-    /// Patch count of the next key.
     NeighborCount,
-    /// Counts padding in the last vector of keys.
     Padding,
 }
 

@@ -1,5 +1,3 @@
-//! Attention keys and values of tokens, or means of patch groups.
-
 use super::Problem;
 use crate::prelude::*;
 use zipsplat_reference::ops::split_heads::Pool;
@@ -34,7 +32,7 @@ impl Keys {
         self.pooled.as_ref().map_or(1.0, |pooled| pooled.counts[key])
     }
 
-    /// Returns the logarithm added to a key's score, and the sum's error bound.
+    /// Logarithm added to a key's score, and the sum's error bound.
     pub fn more(&self, key: usize, score: f64) -> (f64, f64) {
         let count = self.count(key);
         let more = count.ln();

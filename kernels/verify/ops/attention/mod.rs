@@ -12,14 +12,12 @@ use rayon::prelude::*;
 use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Pool};
 use zipsplat_reference::ops::{attention::attention_to_means, split_heads};
 
-/// Sequences before pooling: `q [sequences, queries, heads, dim]`, `k` and `v [sequences, keys,
-/// heads, dim]`.
+/// Before pooling: `q [sequences, queries, heads, dim]`, `k` and `v [sequences, keys, heads, dim]`.
 #[derive(Clone)]
 struct Problem {
     sequences: usize,
     heads: usize,
     dim: usize,
-    /// Changes the device's limits.
     limits: fn(&mut Limits),
     /// Scores whose rounding tests hold to that of random sums.
     is_tame: bool,
@@ -29,7 +27,7 @@ struct Problem {
     v: Vec<f32>,
 }
 
-/// Result `[sequences, queries, heads, dim]` and inputs as on the device.
+/// `[sequences, queries, heads, dim]`, and inputs as on the device.
 struct Truth {
     values: Vec<f64>,
     bounds: Vec<f64>,
@@ -43,7 +41,6 @@ struct Row {
 }
 
 impl Problem {
-    /// Scales random queries and keys by `size`.
     fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
         Self::of([1, 2], queries, keys, dim, size)
     }
@@ -60,7 +57,6 @@ impl Problem {
         self.heads * self.dim
     }
 
-    /// Returns the number of tokens of a sequence.
     fn tokens(&self) -> usize {
         self.k.len() / self.sequences / self.width()
     }

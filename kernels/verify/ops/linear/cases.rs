@@ -61,13 +61,12 @@ pub fn area() -> Area {
     area
 }
 
-/// Returns a problem with results of both types, and with bindings instead of addresses.
+/// Results of both types, and bindings instead of addresses.
 pub(super) fn variants(problem: Problem) -> [Problem; 3] {
     let without_addresses: fn(&mut Limits) = |limits| limits.addresses = false;
     [Problem { limits: without_addresses, ..problem.clone() }, Problem { stored: true, ..problem.clone() }, problem]
 }
 
-/// Returns a layer with every combination of activation, layer scale and residual.
 pub(super) fn epilogues(problem: impl Fn() -> Problem) -> Vec<Problem> {
     let mut all = Vec::new();
     for activation in [Activation::None, Activation::Gelu] {
@@ -83,12 +82,11 @@ pub(super) fn epilogues(problem: impl Fn() -> Problem) -> Vec<Problem> {
     all
 }
 
-/// Adds the epilogues of a sum that few results of 16-bit factors split.
+/// Few results of 16-bit factors split sums.
 pub(super) fn add_split(area: &mut Area) {
     area.sweep("split into parts", 3104, [PastEnd], || epilogues(|| Problem::exact(11, 3104, 40)));
 }
 
-/// Shapes around tiles, epilogues, and parts.
 pub fn shapes() -> Area {
     let mut area = Area { cases: Vec::new(), ..area() };
     for rows in [1, 7, 8, 9, 15, 16, 17, 31, 33, 65] {
@@ -144,7 +142,7 @@ fn far(factor: f32, rows: usize) -> Problem {
     scaled(factor, Problem::random(rows, 64, 64))
 }
 
-/// Uses nonzero whole numbers up to 7: exact in f16, bf16 and f32 sums, and far from 8-bit ties.
+/// Nonzero whole numbers up to 7: exact in f16, bf16 and f32 sums, and far from 8-bit ties.
 fn whole(inner: usize) -> Problem {
     let mut problem = Problem { whole: true, ..random(inner) };
     for x in problem.x.iter_mut().chain(&mut problem.weight).chain(&mut problem.bias) {
@@ -153,7 +151,7 @@ fn whole(inner: usize) -> Problem {
     problem
 }
 
-/// Uses one input per sum, from -10 to 10; gates and values read different channels.
+/// One input per sum, from -10 to 10; gates and values read different channels.
 fn alone() -> Problem {
     let mut problem = Problem::random(2001, 4, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = ((i / 4 * (1 + i % 4)) % 2001) as f32 / 100.0 - 10.0);
@@ -162,7 +160,7 @@ fn alone() -> Problem {
     problem
 }
 
-/// Cancels products of whole numbers from 64 to 127, except one pair in 32. Row maxima are 127,
+/// Products of whole numbers from 64 to 127 cancel, except one pair in 32. Row maxima are 127,
 /// exact in 8-bit integers.
 fn cancelling() -> Problem {
     let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
@@ -188,7 +186,7 @@ fn outliers() -> Problem {
     problem
 }
 
-/// Gives row r the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
+/// Row r has the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
 fn one_hot(inner: usize, rows: usize) -> Problem {
     let mut problem = Problem::random(rows, inner, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });

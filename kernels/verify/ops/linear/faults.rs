@@ -9,9 +9,8 @@ use zipsplat_reference::ops::activation::{gelu, sigmoid};
 pub enum Fault {
     HalfSum,
     HalfFactors,
-    /// 8-bit integers truncated instead of rounded.
     CutIntegers,
-    /// Negative 8-bit weights read as unsigned, 256 more.
+    /// Negative 8-bit weights read as 256 more.
     Unsigned,
     LastTerm,
     /// Drops terms from this index on.
@@ -23,9 +22,7 @@ pub enum Fault {
     /// The last row or column repeats the one before.
     LastRow,
     LastColumn,
-    /// Rows beyond the workgroup fold repeat earlier ones.
     Folded,
-    /// Writes beyond the last row.
     PastEnd,
     NoBias,
     NoActivation,
@@ -108,7 +105,6 @@ impl Problem {
         }
     }
 
-    /// Rounds each partial sum.
     fn sums(&self, held: &Held, round: fn(f64) -> f64, has: impl Fn(usize) -> bool + Sync) -> Vec<f64> {
         let one = |i: usize| {
             let (row, column) = (i / self.columns, i % self.columns);

@@ -1,14 +1,12 @@
-//! Factors of a linear layer as stored on a device.
-
 use super::Problem;
 use crate::Mode;
 use zipsplat::{gpu::Element, ops::Weights};
 
-/// Distance from a tie within which rounding may go either way: a division and a product of values
-/// up to 127, `127 (2.5 + 0.5)` units.
+/// Rounding may go either way this near to a tie: a division and a product of values up to 127,
+/// `127 (2.5 + 0.5)` units.
 const NEAR_TIE: f64 = 5e-5;
 
-/// Rounded factors in f64.
+/// Factors as stored on a device, in f64.
 pub struct Held {
     /// `[rows, inner]`
     pub x: Vec<f64>,
@@ -21,7 +19,7 @@ pub struct Held {
 }
 
 impl Held {
-    /// Rounds the factors; `round` makes the integers.
+    /// `round` makes the integers.
     pub fn new(problem: &Problem, mode: Mode, round: fn(f64) -> f64) -> Self {
         let factor = problem.factor(mode);
         let stored = if factor == Element::I8 { Element::F16 } else { factor };
@@ -56,7 +54,7 @@ fn rounded(values: &[f32], element: Element) -> Vec<f64> {
     }
 }
 
-/// Rounds as `pack_matrix`.
+/// As `pack_matrix`.
 fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     let row = |row: &[f32]| {
         let largest = row.iter().fold(0f32, |most, x| most.max(x.abs()));
@@ -67,7 +65,7 @@ fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     weight.chunks(inner).flat_map(row).collect()
 }
 
-/// Rounds as `quantize_rows.comp`; returns the near-ties.
+/// As `quantize_rows.comp`; returns the near-ties.
 fn quantize(row: &mut [f64], round: fn(f64) -> f64) -> Vec<(usize, f64)> {
     let scale = row.iter().fold(0.0, |most: f64, x| most.max(x.abs())) / 127.0;
     let mut moves = Vec::new();

@@ -1,5 +1,3 @@
-//! Linear layers with GELU, SwiGLU, layer scale and residual.
-
 mod cases;
 mod faults;
 mod held;
@@ -32,28 +30,28 @@ pub struct Problem {
     rows: usize,
     inner: usize,
     columns: usize,
-    /// Input `[rows, inner]`.
+    /// `[rows, inner]`.
     pub x: Vec<f32>,
     /// `[columns, inner]`
     pub weight: Vec<f32>,
     bias: Vec<f32>,
-    /// Activation; SwiGLU takes columns [gate | value].
+    /// SwiGLU takes columns [gate | value].
     pub activation: Activation,
     /// Layer scale.
     pub scaled: bool,
     /// Residual.
     pub residual: Residual,
-    /// Result in the factors' type instead of f32.
+    /// In the factors' type instead of f32.
     pub stored: bool,
-    /// Change of the device's limits.
+    /// Changes the device's limits.
     pub limits: fn(&mut Limits),
-    /// True if all partial sums are exact in f32, in any order.
+    /// All partial sums are exact in f32, in any order.
     whole: bool,
-    /// True if every type represents the factors exactly.
+    /// Every type represents the factors exactly.
     held: bool,
 }
 
-/// Result `[rows, out_columns]`, and factors as on the device.
+/// `[rows, out_columns]`, and factors as on the device.
 pub(crate) struct Truth {
     values: Vec<f64>,
     errors: Vec<f64>,
@@ -61,7 +59,7 @@ pub(crate) struct Truth {
     sums: Vec<f64>,
 }
 
-/// Sum with bias, and error bound.
+/// With bias.
 struct Sum {
     value: f64,
     error: f64,
@@ -89,8 +87,8 @@ impl Problem {
         }
     }
 
-    /// Creates a random layer whose factors every type holds exactly: multiples of 1/128, with the
-    /// largest first in each group of 8-bit weights. Short sums are exact, too.
+    /// Every type holds the factors exactly: multiples of 1/128, with the largest first in each
+    /// group of 8-bit weights. Short sums are exact, too.
     pub fn exact(rows: usize, inner: usize, columns: usize) -> Self {
         let mut problem = Self { whole: inner <= 1024, held: true, ..Self::random(rows, inner, columns) };
         for row in problem.x.chunks_mut(inner).chain(problem.weight.chunks_mut(inner)) {
@@ -115,12 +113,11 @@ impl Problem {
         if self.activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Returns true if results are whole vectors, as matrix units and dot products write them.
+    /// Results are whole vectors, as matrix units and dot products write them.
     fn has_vectors(&self) -> bool {
         self.out_columns().is_multiple_of(4)
     }
 
-    /// Returns the factor type.
     fn factor(&self, mode: Mode) -> Element {
         match mode.factor {
             Element::I8 if !self.has_vectors() => Element::F16,
@@ -128,7 +125,7 @@ impl Problem {
         }
     }
 
-    /// Returns the type of a stored result.
+    /// Type of a stored result.
     fn element(&self, mode: Mode) -> Element {
         match self.factor(mode) {
             _ if !self.stored => Element::F32,
@@ -144,8 +141,8 @@ impl Problem {
         }
     }
 
-    /// Returns the relative error of an expanded 8-bit weight on matrix units. f16 may round either
-    /// way; bf16 rounds to nearest.
+    /// Relative error of an expanded 8-bit weight on matrix units. f16 may round either way; bf16
+    /// rounds to nearest.
     fn expanding(&self, mode: Mode) -> f64 {
         let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.has_vectors();
         match mode.factor {
@@ -190,7 +187,6 @@ impl Problem {
         Sum { value: value + bias, error }
     }
 
-    /// Applies the epilogue to sums `[rows, columns]`.
     fn finish(&self, sums: &[f64]) -> Vec<f64> {
         let values: Vec<f64> = match self.activation {
             Activation::None => sums.to_vec(),
@@ -233,15 +229,12 @@ impl Problem {
         errors.iter().zip(finished).map(|(error, value)| stored.stored(*value, *error)).collect()
     }
 
-    /// Returns a row past the end that kernels must not write.
+    /// A row past the end that kernels must not write.
     fn guard(&self) -> usize {
         self.out_columns()
     }
 
-    /// Returns a kernel's result in a type, followed by the guard.
-    ///
-    /// # Errors
-    /// Those of the device.
+    /// Returns a result, followed by the guard.
     pub fn run(&self, device: &Device, kernel: LinearKernel, output: Element) -> Result<Vec<f32>> {
         let mut trial = Trial::changed(device, self.limits);
         // SwiGLU gates and values interleave on the device.
@@ -341,7 +334,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Bounds GELU: its slope is at most 1.13, and `shared/gelu.glsl` fits erf to 1.2e-7.
+/// GELU's slope is at most 1.13, and `shared/gelu.glsl` fits erf to 1.2e-7.
 pub(crate) fn gelu_error(z: f64, error: f64) -> f64 {
     let t = z.abs() * std::f64::consts::FRAC_1_SQRT_2;
     let decayed = (-t * t).exp();
@@ -351,7 +344,7 @@ pub(crate) fn gelu_error(z: f64, error: f64) -> f64 {
     1.13 * error + own + TINY
 }
 
-/// Bounds SwiGLU: SiLU's slope is at most 1.1.
+/// SiLU's slope is at most 1.1.
 fn swiglu_error(gate: &Sum, value: &Sum) -> f64 {
     let silu = silu(gate.value);
     let own = silu.abs() * ((1.0 - sigmoid(gate.value)) * exponential(gate.value) + DIVISION + ULP);

@@ -34,7 +34,6 @@ pub fn q8_area() -> Area {
     area
 }
 
-/// Shapes with every epilogue.
 pub fn q8_shapes() -> Area {
     let mut area = Area { cases: Vec::new(), ..q8_area() };
     cases::add_split(&mut area);
@@ -66,7 +65,7 @@ fn extreme() -> Problem {
     problem
 }
 
-/// Gives row r only channel r.
+/// Row r has only channel r.
 fn one_hot() -> Problem {
     let mut problem = Problem::random(96, 96, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / 96 == i % 96 { 1.0 } else { 0.0 });

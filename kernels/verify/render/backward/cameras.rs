@@ -1,5 +1,3 @@
-//! Sums of camera gradients.
-
 use super::added_to;
 use crate::prelude::*;
 use zipsplat::kernels::render::CamerasBackward;
@@ -71,7 +69,7 @@ pub fn area() -> Area {
     }
     let cancelling = || {
         let values = Noise::new(3).values(1001 * NUMBERS);
-        // Each row of large numbers but the last has its opposite.
+        // Large numbers cancel, except in the last row.
         let opposite = |i: usize| if (i / NUMBERS).is_multiple_of(2) { 1e6 } else { -1e6 };
         let large = |i: usize| opposite(i) * (1.0 + values[i / (2 * NUMBERS) * NUMBERS + i % NUMBERS].abs());
         Problem((0..values.len()).map(large).collect())

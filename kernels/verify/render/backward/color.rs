@@ -1,4 +1,4 @@
-//! Sums of splat gradients over tiles, and color gradients to coefficients and centers.
+//! Splat gradients summed over tiles, then color gradients to coefficients and centers.
 
 use super::added_to;
 use crate::prelude::*;
@@ -47,7 +47,6 @@ enum Fault {
     /// No center gradient through color.
     NoDirection,
     NeighborGaussian,
-    /// Counts a splat beyond the capacity.
     FullCounts,
 }
 

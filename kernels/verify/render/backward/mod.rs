@@ -1,4 +1,4 @@
-//! Backward pass of rendering by kernel.
+//! Backward pass of rendering.
 
 mod cameras;
 mod color;
@@ -13,7 +13,6 @@ pub use rasterize::area as rasterize;
 use crate::{bound::Bounded, trial::Trial};
 use zipsplat::gpu::Tensor;
 
-/// Creates initial values for accumulation.
 fn added_to(trial: &mut Trial<'_>, len: usize, before: f32) -> Tensor {
     let tensor = trial.rec.tensor::<f32>("sums", len);
     trial.rec.fill(tensor, before.to_bits());

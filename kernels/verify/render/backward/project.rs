@@ -1,5 +1,3 @@
-//! Splat gradients to Gaussian and camera gradients.
-
 use super::{Vector, added_to, cross, minus, plus, times};
 use crate::{
     prelude::*,
@@ -38,17 +36,12 @@ enum Fault {
     Unwritten,
     HalfPairs,
     NoBlur,
-    /// Centers do not affect the splat shape.
     FixedShape,
-    /// Depth does not affect the splat shape.
     NoDepthOfShape,
     /// Center gradients beyond the clamped borders.
     Unheld,
-    /// Rotation gradients in camera space.
     TurnInCamera,
-    /// Quaternions treated as unit length.
     NotNormalized,
-    /// Gradient by ln opacity.
     LogOpacity,
     NoCompensation,
     NeighborGaussian,
@@ -183,7 +176,7 @@ impl Problem {
         [-Bounded::dot(turn, [x, y, z]), a, b, c].map(|d| by * d)
     }
 
-    /// Returns each Gaussian's gradients, then the camera's sum.
+    /// Each Gaussian's gradients, then the camera's sum.
     fn all(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let conics = self.conics();
         let found: Vec<Found> = (0..self.scene.len()).map(|n| self.gradient(n, conics[n], fault)).collect();

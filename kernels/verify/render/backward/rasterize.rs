@@ -1,5 +1,3 @@
-//! Pixel gradients to splat gradients.
-
 use crate::prelude::*;
 use zipsplat::kernels::{limits::TILE, render::RasterizeBackward};
 use zipsplat_reference::render::{
@@ -15,7 +13,7 @@ const HEIGHT: u32 = 23;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
-/// Pixels above or below the picture where splats start to use their ridge.
+/// Pixels outside the picture where splats start to use their ridge.
 const FAR_OFF: f32 = 256.0;
 /// Moments, red, green, blue, depth.
 const VALUES: usize = 10;
@@ -42,7 +40,6 @@ enum Fault {
     Unwritten,
     NothingBehind,
     NoBackground,
-    /// Gradients of clamped alphas.
     Unclamped,
     NeverStops,
     /// Gradients of alphas below 1/255.
@@ -85,7 +82,6 @@ fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     })
 }
 
-/// Contribution of a splat to a pixel.
 type Share = [Bounded; VALUES];
 
 /// Mirrors kernels/render/rasterize_backward.comp on one pixel; `None` if rounding may flip a
@@ -146,14 +142,15 @@ fn pixel(
         let g = if held { zero } else { value - hidden };
         let e = if is(Fault::Unsheared) { dx } else { e };
         let (ge, gy) = (g * e, g * dy);
-        *share = [g, ge, gy, ge * e, gy * e, gy * dy, weight * d[0], weight * d[1], weight * d[2], weight * d[4]];
+        let [red, green, blue, depth] = [0, 1, 2, 4].map(|i| weight * d[i]);
+        *share = [g, ge, gy, ge * e, gy * e, gy * dy, red, green, blue, depth];
         left = after;
     }
     Some(shares)
 }
 
 impl Problem {
-    /// Creates random gradients, 0 where rounding may flip a threshold.
+    /// 0 where rounding may flip a threshold.
     fn new(splats: Vec<Splat>) -> Self {
         let mut noise = Noise::new(splats.len() as u64);
         let (mut frames, mut d_frames) = (Vec::new(), Vec::new());
@@ -167,7 +164,7 @@ impl Problem {
         Self { splats, frames, d_frames }
     }
 
-    /// Sums over tiles, `[splats, tiles, VALUES]`.
+    /// `[splats, tiles, VALUES]`, summed over tiles.
     fn slots(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let count = tiles()[0] * tiles()[1];
         let mut slots = vec![Bounded::exact(0.0); self.splats.len() * count * VALUES];
@@ -195,7 +192,7 @@ impl Problem {
     }
 }
 
-/// Returns red, green, blue without the background, alpha, depth.
+/// Red, green, blue without the background, alpha, depth.
 fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let ellipses: Vec<Ellipse> = splats.iter().map(Splat::ellipse).collect();
     // A splat's weight is its gradient with unit red.
@@ -276,7 +273,7 @@ impl Values for Problem {
     }
 }
 
-/// Creates splats 1 to 10 pixels wide.
+/// 1 to 10 pixels wide.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
     let mut noise = Noise::new(count as u64 + 7);
     let mut one = |i: usize| {

@@ -17,31 +17,23 @@ pub enum Fault {
     LastTile,
     Missing,
     BackToFront,
-    /// Samples at pixel corners.
     HalfPixel,
     NeighborColor,
     HalfColors,
-    /// Colors not clamped at 0.
     NegativeColors,
     NoBands,
-    /// View directions in camera space.
     DirectionInCamera,
     OtherAntialiasing,
     Unrotated,
     /// Determinants as differences of products in f32.
     CancellingDeterminant,
-    /// Mirrors Gaussians behind the camera.
     BehindDrawn,
-    /// Draws Gaussians before the near plane.
     NearDrawn,
     /// Draws alphas below 1/255.
     FaintDrawn,
-    /// Alphas not clamped at 0.999.
     OpaqueUnclamped,
     NeverStops,
-    /// Principal point at the center.
     CenteredPrincipal,
-    /// Column-major pixels.
     TransposedPixels,
     /// Tile indices wrap at 65,536.
     TilesWrap,
@@ -50,7 +42,7 @@ pub enum Fault {
 /// Color, alpha, accumulated depth.
 pub type Picture = [Vec<f32>; 3];
 
-/// Renders with a fault; `before` is the camera of the tiles from 0 on.
+/// `before` is the camera of the tiles from 0 on.
 pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
     let (mut scene, mut camera, mut antialiased, mut rules) =
         (gaussians(scene), *camera, antialiased, Rules::default());
@@ -132,7 +124,7 @@ fn changed(mut splat: Splat, scene: &Gaussians, n: usize, camera: &Pinhole, faul
     splat
 }
 
-/// Returns the first splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
+/// The first with alpha above 1/20 at its nearest pixel, else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);

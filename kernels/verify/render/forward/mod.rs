@@ -1,5 +1,3 @@
-//! Rendering: projection, sorting and blending.
-
 mod faults;
 pub mod picture;
 
@@ -75,7 +73,6 @@ fn scene(count: usize, degree: u32, change: impl Fn(usize, &mut [f32; 3], &mut [
     scene
 }
 
-/// Keeps the scene's appearance from a rotated camera.
 fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     for mean in &mut scene.means {
         *mean = pose.transform(DVec3::from(mean.map(f64::from))).as_vec3().to_array();
@@ -83,7 +80,7 @@ fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     (scene, Camera { pose, ..camera(70, 53) })
 }
 
-/// Centers needles `distance` pixels outside in all directions.
+/// Needles `distance` pixels outside in all directions.
 fn needles_off(count: usize, distance: f64) -> Scene {
     let mut scene = scene(count, 0, |i, mean, scales, _| {
         let along = DVec3::from_array([(i as f64).cos(), (i as f64).sin(), 0.0]);

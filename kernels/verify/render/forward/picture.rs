@@ -1,5 +1,4 @@
-//! Truth and error bounds of a picture: the f64 reference, and running error analysis of the
-//! kernels' formulas.
+//! Truth by the f64 reference, bounds by running error analysis of the kernels' formulas.
 
 use crate::bound::{Bounded, U, ULP};
 use glam::DVec3;
@@ -35,7 +34,7 @@ pub fn truth(scene: &Scene, camera: &Camera, antialiased: bool) -> Rendering {
     rasterize::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
 }
 
-/// Converts a scene for the reference.
+/// Converts a scene.
 pub fn gaussians(scene: &Scene) -> Gaussians {
     Gaussians {
         means: scene.means.iter().map(|v| v.map(f64::from)).collect(),
@@ -46,7 +45,7 @@ pub fn gaussians(scene: &Scene) -> Gaussians {
     }
 }
 
-/// Converts a camera for the reference.
+/// Converts a camera.
 pub fn reference_camera(camera: &Camera) -> project::Camera {
     let (view, i) = (camera.view_matrix().transpose().to_cols_array(), &camera.intrinsics);
     let k = i.matrix().transpose().to_cols_array();
@@ -134,7 +133,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
     if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
 }
 
-/// Returns the offset from the camera center, which the kernel stores as two numbers.
+/// The kernel stores the center as two numbers.
 fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
         let center = camera.pose.translation[c];
@@ -143,7 +142,7 @@ fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     })
 }
 
-/// Returns true if a center uses its ridge. Near the threshold the splat keeps the larger bound.
+/// Near the threshold the splat keeps the larger bound.
 fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     [0, 1].map(|a| {
         let Bounded { value, error } = place[a];
@@ -181,9 +180,9 @@ fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]
     [0, 1, 2].map(|r| [0, 1, 2].map(|c| Bounded::dot([0, 1, 2].map(|k| view(r, k)), [0, 1, 2].map(|k| rotation[k][c]))))
 }
 
-/// Bounds colors. A basis function of band l has a slope of at most `sqrt((2l + 1) l (l + 1) / 4
-/// pi)`, here 2.6, and a value of at most 1.5. The direction's error is two roundings of an offset
-/// and its normalization.
+/// A basis function of band l has a slope of at most `sqrt((2l + 1) l (l + 1) / 4 pi)`, here 2.6,
+/// and a value of at most 1.5. The direction's error is two roundings of an offset and its
+/// normalization.
 fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     let off = 12.0 * ULP;
     let k = scene.sh_coeffs_per_gaussian();
@@ -204,7 +203,7 @@ struct Pixel {
 }
 
 impl Pixel {
-    /// Widens the bounds by an optional contribution of `weight`.
+    /// An optional contribution of `weight` widens the bounds.
     fn allow(&mut self, weight: f64, color: [f64; 3], depth: f64) {
         self.rgb.iter_mut().zip(color).for_each(|(sum, color)| sum.error += weight * color);
         self.depth.error += weight * depth;
@@ -216,7 +215,7 @@ impl Pixel {
     }
 }
 
-/// Bounds a pixel; near a threshold, allows both outcomes.
+/// Near a threshold, allows both outcomes.
 fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
     let zero = Bounded::exact(0.0);
     let mut pixel = Pixel { rgb: [zero; 3], depth: zero, left: Bounded::exact(1.0) };
@@ -262,7 +261,7 @@ fn alpha(splat: &Splat, place: [f64; 2]) -> Bounded {
     (splat.opacity * exponent.exp2()).min(Bounded::rounded(MAX_ALPHA))
 }
 
-/// Returns true if depths are exact or far enough apart in f32.
+/// Depths are exact or far enough apart in f32.
 pub fn orders_depths(scene: &Scene, camera: &Camera) -> bool {
     let forward = camera.pose.rotation.z_axis;
     let mut depths: Vec<(f64, f64)> = (scene.means.iter())

@@ -15,8 +15,8 @@ use super::super::{Distortion, Lens, PointCloud, file::read_file};
 use super::{Capture, CaptureView};
 use crate::{Error, Result};
 
-/// Models of [`Distortion`]: ID, name, number of parameters. Parameters are `f, cx, cy` or `fx, fy,
-/// cx, cy`, then distortion.
+/// Models of [`Distortion`]: ID, name, number of parameters (`f, cx, cy` or `fx, fy, cx, cy`, then
+/// distortion).
 const MODELS: [(i32, &str, usize); 9] = [
     (0, "SIMPLE_PINHOLE", 3),
     (1, "PINHOLE", 4),
@@ -32,7 +32,7 @@ const ONE_FOCAL: [&str; 5] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMP
 
 /// Bytes of a 2D point in `images.bin`: x and y as f64, and the 3D point's ID.
 const POINT_BYTES: u64 = 24;
-/// Bytes of a track element: image and 2D point IDs, u32 each.
+/// Bytes of a track element: u32 image and 2D point IDs.
 const TRACK_BYTES: u64 = 8;
 
 pub(super) fn is_model(folder: &Path) -> bool {
@@ -132,7 +132,7 @@ fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Re
     Ok(Lens { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distortion })
 }
 
-/// Converts COLMAP's world-to-camera quaternion wxyz and translation to camera-to-world.
+/// Converts a world-to-camera quaternion wxyz and translation.
 fn pose([w, x, y, z, tx, ty, tz]: [f64; 7]) -> Pose {
     Pose { rotation: matrix_from_quaternion([w, x, y, z]), translation: DVec3::new(tx, ty, tz) }.inverse()
 }
@@ -264,7 +264,7 @@ impl<'a> Values<'a> {
     }
 }
 
-// Allocates nothing by count: a hostile one hits the end of the file.
+// Allocates nothing by the count, which may be hostile.
 fn binary_cameras(bytes: &[u8]) -> Parsed<HashMap<u32, Lens>> {
     let mut values = Values { bytes, at: 0 };
     let mut lenses = HashMap::new();

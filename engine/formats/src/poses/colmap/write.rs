@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use super::super::CaptureView;
 use crate::{Distortion, Error, Intrinsics, Result, file::write_atomic, quaternion_from_matrix};
 
-/// First line of each file, which marks files that may be replaced.
+/// First line of files that may be replaced.
 const MADE_BY: &str = "# generator: zipsplat\n";
 
 /// Returns the paths of a folder's `cameras.txt`, `images.txt` and `points3D.txt`.
@@ -15,8 +15,7 @@ pub fn colmap_files(folder: impl AsRef<Path>) -> [PathBuf; 3] {
 /// Without matches, points have no tracks and images no 2D points.
 ///
 /// # Errors
-///
-/// [`Error::Argument`] for an invalid camera, a name with spaces, or a lens without a COLMAP model.
+/// [`Error::Argument`] for a name with spaces, or a lens without a COLMAP model.
 pub fn write_colmap(folder: impl AsRef<Path>, frames: &[CaptureView], points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut lenses: Vec<String> = Vec::new();
     let mut images = format!("{MADE_BY}# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of its points\n");

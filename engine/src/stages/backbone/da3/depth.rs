@@ -7,24 +7,22 @@ use crate::{
     types::{Camera, relative_encoding},
 };
 
-/// Backbone parameters.
 pub struct DepthBackbone {
     transformer: Transformer,
     alternates: bool,
 }
 
 impl DepthBackbone {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &BackboneArchitecture) -> Self {
         Self { transformer: Transformer::new(p, a), alternates: a.alternates() }
     }
 
-    /// Allocates host inputs besides pixels.
+    /// Host inputs besides pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.inputs(rec, grid, cameras)
     }
 
-    /// Records the backbone for normalized `images` `[views, 3, height, width]` f32.
+    /// `images` are normalized, `[views, 3, height, width]` f32.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -56,7 +54,6 @@ impl DepthBackbone {
         out
     }
 
-    /// Writes the inputs.
     pub fn write(
         &self,
         run: &mut Run,

@@ -21,25 +21,23 @@ use crate::{
 use features::Features;
 use transformer::Transformer;
 
-/// Backbone parameters, with the norms and projections of the out layers.
 pub struct Da3 {
     transformer: Transformer,
     features: Features,
 }
 
 impl Da3 {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self { transformer: Transformer::new(p, &a.backbone()), features: Features::new(p, a) }
     }
 
-    /// Allocates host inputs besides pixels.
+    /// Host inputs besides pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.inputs(rec, grid, cameras)
     }
 
-    /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns f32
-    /// tokens per out layer, deepest first.
+    /// `images` are `[views, 3, height, width]` f32, RGB in 0..1. Returns f32 tokens per out layer,
+    /// deepest first.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -58,7 +56,7 @@ impl Da3 {
         prepared
     }
 
-    /// Writes the inputs, with cameras in network units.
+    /// Cameras are in network units.
     pub fn write(
         &self,
         run: &mut Run,

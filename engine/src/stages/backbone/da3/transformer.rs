@@ -1,7 +1,3 @@
-//! The transformer over all views.
-//!
-//! Source: Depth Anything 3; DINOv2.
-
 use super::{
     camera_encoder::{CameraEncoder, POSE_ENCODING, POSE_VALUES},
     positions::{interpolate, rotary_tables},
