@@ -46,7 +46,12 @@ fn needles_become_shorter() {
     let (scene, photos) = photos(&cameras);
     let mut needles = moved(&scene);
     needles.scales.iter_mut().for_each(|[x, y, z]| (*x, *y, *z) = (0.4, 0.02, 0.01));
-    let request = RefineOptions { length: RefineLength::Steps(60), coarse_to_fine: false, ..RefineOptions::default() };
+    let request = RefineOptions {
+        length: RefineLength::Steps(60),
+        coarse_to_fine: false,
+        max_gaussians: Some(0),
+        ..RefineOptions::default()
+    };
     let refined = refine(&needles, &photos, &cameras, &request);
     assert!(refined.best_step > 40, "{}", refined.best_step);
     let ratio = |scales: &[f32; 3]| {
@@ -280,25 +285,25 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
     let photos = photos_of(&scene, &cameras);
     let mut start = scene.clone();
     start.keep(&(0..400).step_by(10).collect::<Vec<_>>());
-    let with = |grow: Option<usize>| {
+    let with = |max_gaussians: usize| {
         refine(
             &start,
             &photos,
             &cameras,
             &RefineOptions {
                 length: RefineLength::Steps(100),
-                max_gaussians: grow,
+                max_gaussians: Some(max_gaussians),
                 holdout_views: Some(1),
                 ..RefineOptions::default()
             },
         )
     };
-    let (without, grown) = (with(None), with(Some(400)));
+    let (without, grown) = (with(0), with(400));
     let [[kept, _], [more, _]] = [&without, &grown].map(|refined| refined.psnr().unwrap());
     assert!(more > kept + 0.5, "{kept} dB with {} Gaussians, {more} with {}", without.scene.len(), grown.scene.len());
     assert!(without.scene.len() == 40 && (200..=400).contains(&grown.scene.len()));
     grown.scene.validate().unwrap();
-    let again = with(Some(400));
+    let again = with(400);
     assert!(again.scene == grown.scene && again.losses == grown.losses);
 }
 

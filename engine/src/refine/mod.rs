@@ -31,6 +31,7 @@ use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
 use refinement::Refinement;
+use schedule::GOOD;
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
@@ -40,7 +41,7 @@ use views::size;
 /// Least number of photos with a held-out one by default: fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
 /// Least number of steps with growth by default.
-const GROWTH_FROM: usize = 300;
+const GROWTH_FROM: usize = 50;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: usize = 32;
 const MOST_GROWTH: usize = 16;
@@ -213,18 +214,20 @@ fn run(
         let sizes = photos.iter().map(|photo| size(photo, options.max_image_size, 1));
         len.and_then(|len| grown_len(options, steps, len, sizes))
     };
+    let probe = |options: &RefineOptions| refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1);
+    let may_grow = options.max_gaussians.is_none() && grow(&options, options.length.most_steps()).is_some();
+    if may_grow && probe(&options)?.training_psnr(cameras)? >= GOOD {
+        options.max_gaussians = Some(0);
+    }
     let steps = match options.length {
         RefineLength::Steps(steps) => steps,
         RefineLength::Time(time) => {
-            let time_step = |options: &RefineOptions| {
-                refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1)?.time_step()
-            };
-            let mut step = time_step(&options)?;
+            let mut step = probe(&options)?.time_step()?;
             while step * ENOUGH_STEPS > time
                 && let Some(half) = half_size(photos, options.max_image_size)
             {
                 options.max_image_size = Some(half);
-                step = time_step(&options)?;
+                step = probe(&options)?.time_step()?;
             }
             let left = time.saturating_sub(begin.elapsed());
             let steps_in = |step: Duration| (left.as_secs_f64() / step.as_secs_f64()).max(1.0) as usize;

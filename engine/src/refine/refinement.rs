@@ -24,8 +24,8 @@ const EVALUATIONS: usize = 20;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
-/// Divergence limit: mean loss relative to its minimum.
-const DIVERGED: f32 = 2.0;
+/// Divergence limit: mean loss relative to its minimum. Growth may double the loss for some steps.
+const DIVERGED: f32 = 4.0;
 
 pub(super) struct Refinement<'a> {
     photos: &'a [Image],
@@ -203,7 +203,7 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
-    fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
+    pub fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
         let step = self.training.len().div_ceil(MAX_MEASURED);
         let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.training.len()).partition(|i| i % step == 0);
         let mut measure = |i: usize| {

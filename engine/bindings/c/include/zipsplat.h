@@ -905,9 +905,9 @@ typedef struct zs_refine_options {
     uint32_t reserved;
     // Seed of the photo order and of growth.
     uint64_t seed;
-    // Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 300
-    // steps on, to one per 32 pixels of the photos and at most four times the scene's. Must be 0
-    // for tokens.
+    // Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 50
+    // steps on and below a training PSNR of 20 dB, to one per 32 pixels of the photos and at most
+    // 16 times the scene's. Must be 0 for tokens.
     size_t max_gaussians;
     // Progress callback, called after each step.
     zs_progress_callback progress;

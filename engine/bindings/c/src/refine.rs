@@ -73,9 +73,9 @@ pub struct zs_refine_options {
     pub reserved: u32,
     /// Seed of the photo order and of growth.
     pub seed: u64,
-    /// Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 300
-    /// steps on, to one per 32 pixels of the photos and at most 16 times the scene's. Must be 0
-    /// for tokens.
+    /// Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 50
+    /// steps on and below a training PSNR of 20 dB, to one per 32 pixels of the photos and at most
+    /// 16 times the scene's. Must be 0 for tokens.
     pub max_gaussians: usize,
     /// Progress callback, called after each step.
     pub progress: zs_progress_callback,
