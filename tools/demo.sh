@@ -19,7 +19,7 @@ stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat
 command -v colmap > /dev/null || python3 -c 'import pycolmap' 2> /dev/null || apt_install colmap || true
 photos=("${@:-$root/tests/data/bananas}")
 stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --views $views --cameras colmap \
-  --cameras-out "$out/photos/transforms.json" --refine=300 --max-image-size ${side}x$side ${weights[@]+"${weights[@]}"} \
+  --cameras-out "$out/photos/transforms.json" --refine=150 --max-image-size ${side}x$side ${weights[@]+"${weights[@]}"} \
   --overwrite -o "$out/photos/scene.ply"
 stage render zipsplat render "$out/photos/scene.ply" --spline "$out/photos/transforms.json" --frames 12 \
   --overwrite -o "$out/photos"

@@ -31,7 +31,6 @@ use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
 use refinement::Refinement;
-use schedule::GOOD;
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
@@ -42,6 +41,8 @@ use views::size;
 const HOLD_OUT_FROM: usize = 40;
 /// Least number of steps with growth by default.
 const GROWTH_FROM: usize = 50;
+/// Training PSNR in dB from which a scene does not grow by default.
+const GROWTH_BELOW: f64 = 25.0;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: usize = 32;
 const MOST_GROWTH: usize = 16;
@@ -216,7 +217,7 @@ fn run(
     };
     let probe = |options: &RefineOptions| refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1);
     let may_grow = options.max_gaussians.is_none() && grow(&options, options.length.most_steps()).is_some();
-    if may_grow && probe(&options)?.training_psnr(cameras)? >= GOOD {
+    if may_grow && probe(&options)?.training_psnr(cameras)? >= GROWTH_BELOW {
         options.max_gaussians = Some(0);
     }
     let steps = match options.length {

@@ -52,7 +52,7 @@ pub struct RefineOptions {
     pub optimize_cameras: bool,
     /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
     /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of
-    /// 20 dB, one per 32 pixels of the photos, at most 16 times the scene's number.
+    /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,

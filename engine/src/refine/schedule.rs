@@ -3,9 +3,8 @@ use std::f64::consts::PI;
 const LAST: f64 = 0.1;
 /// Steps up to which rates have full size.
 const FULL: f64 = 100.0;
-/// Training PSNR in dB above which a scene's rate shrinks with its error, and it does not grow by
-/// default.
-pub(super) const GOOD: f64 = 20.0;
+/// Training PSNR in dB above which a scene's rate shrinks with its error.
+const GOOD: f64 = 20.0;
 /// Ends of the coarse phases, as fractions of the steps, and their downscaling factors.
 const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
 /// Least shorter side of a downscaled photo, in pixels.

@@ -248,7 +248,7 @@ class Scene:
             seed: Seed of the photo order.
             optimize_cameras: Whether to optimize the training photos' cameras, except the first.
             max_gaussians: Final number of Gaussians; at most the scene's number: no growth. "auto"
-                grows from 50 steps on, if the photos' PSNR is below 20 dB.
+                grows from 50 steps on, if the photos' PSNR is below 25 dB.
             perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
                 tools/lpips.py of a checkout fetches.
             target: "gaussians", or "tokens" of a Reconstruction of a model with `tokens`.
