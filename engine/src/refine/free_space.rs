@@ -17,8 +17,8 @@ const QUANTILE: f64 = 0.05;
 const MOST_PUSHED: f64 = 10.0;
 /// Mahalanobis distance up to which a camera is inside a Gaussian.
 const INSIDE: f64 = 3.0;
-/// Places between a camera and its nearest ones, as fractions of the way: what floats there is in no
-/// photo's way.
+/// Places between a camera and its `NEAREST` ones, as fractions of the way. No training photo
+/// penalizes floaters there.
 const BETWEEN: [f64; 2] = [0.3, 0.5];
 const NEAREST: usize = 3;
 /// Limit of cameras with places.
