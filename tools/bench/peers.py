@@ -165,7 +165,7 @@ def opensplat(args, capture, ours, folder):
             steps = max(20, round(0.95 * reached * limit / cpu))
         if not scene:
             sys.exit(f"{args.opensplat} saved no scene in {limit} CPU seconds")
-        said, _ = evaluate(args, capture, folder, "--scene", scene, "--scene-frame", "input-cameras")
+        said, _ = evaluate(args, capture, folder, "--scene", scene, "--scene-frame", "input-cameras", "--drop-invalid")
     return said | {"cpu": cpu, "steps": saved}
 
 
