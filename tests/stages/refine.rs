@@ -307,6 +307,23 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
     assert!(again.scene == grown.scene && again.losses == grown.losses);
 }
 
+#[test]
+fn scenes_grow_by_default_unless_good() {
+    let cameras = cameras(4);
+    let scene = random_scene(40, 0, 0.3);
+    let photos = photos_of(&scene, &cameras);
+    let mut start = scene.clone();
+    start.keep(&(0..40).step_by(10).collect::<Vec<_>>());
+    let len = |scene: &Scene| {
+        let request = RefineOptions { length: RefineLength::Steps(50), ..RefineOptions::default() };
+        let refined = refine(scene, &photos, &cameras, &request);
+        (refined.training_psnr[1] < 25.0, refined.scene.len())
+    };
+    let (is_poor, grown) = len(&start);
+    assert!(is_poor && grown > 4, "{grown}");
+    assert_eq!(len(&scene), (false, 40));
+}
+
 /// 0..1, `[height][width][rgb]`.
 fn pair(scene: &Scene, camera: &Camera, photo: &Image) -> [Vec<f32>; 2] {
     let frame = Renderer::new(device()).render_scene(scene, &[*camera], &RenderOptions::default()).unwrap().remove(0);
