@@ -8,7 +8,7 @@ use serde::Deserialize;
 use super::{EXTENSION, Fault, Parsed};
 use crate::world::MADE_BY;
 
-/// The second only permits small integers for floats.
+/// KHR_mesh_quantization only permits small integers for floats.
 const KNOWN: [&str; 2] = [EXTENSION, "KHR_mesh_quantization"];
 const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BIN_CHUNK: u32 = 0x004e_4942;

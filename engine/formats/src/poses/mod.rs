@@ -208,7 +208,7 @@ fn common_folders(a: &Path, b: &Path) -> usize {
     a.components().rev().zip(b.components().rev()).take_while(|(a, b)| a == b).count()
 }
 
-/// The second has the training views of NeRF's synthetic scenes.
+/// NeRF's synthetic scenes have their training views in transforms_train.json.
 const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 
 /// Reads a PLY, `points3D.bin` or `points3D.txt`.
