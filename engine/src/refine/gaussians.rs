@@ -19,6 +19,11 @@ use std::sync::Arc;
 
 /// As in 3D Gaussian Splatting: the gradient of a mean over a picture is small.
 pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
+/// Adam's eps of Gaussians times their number, for means times the scene scale. Gaussians that few
+/// photos constrain have gradients below it and move less, instead of by a full step at any
+/// gradient.
+const EPS: f32 = 0.006;
+const MEANS_EPS: f32 = 100.0 * EPS;
 /// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
@@ -36,6 +41,7 @@ struct Field {
     len: usize,
     rate: Rate,
     space: Space,
+    eps: f32,
     /// Gradient of the penalty, equal for all values: the initial gradient.
     penalty: f32,
 }
@@ -69,6 +75,7 @@ impl Gaussians {
         let harmonics = Rate { first: sh_coeffs, others: sh_higher, width };
         let rates = [(means * scene_distance as f32).into(), scales.into(), quats.into(), opacities.into(), harmonics];
         let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
+        let eps = [MEANS_EPS / scene_distance as f32, EPS, EPS, EPS, EPS];
         let penalties = [0.0, options.scale_penalty / (3.0 * scene_distance as f32), 0.0, options.opacity_penalty, 0.0];
         let field = |i: usize| Field {
             values: values[i],
@@ -77,6 +84,7 @@ impl Gaussians {
             len: counts[i],
             rate: rates[i],
             space: spaces[i],
+            eps: eps[i] / len as f32,
             penalty: penalties[i] / len as f32,
         };
         let fields = [0, 1, 2, 3, 4].map(field);
@@ -293,8 +301,8 @@ fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Ru
     let mut rec = Recorder::new(arena.device().limits());
     let schedule = rec.input::<f32>("schedule", 4);
     rec.scope("adam", |rec| {
-        for Field { values, gradient, moments, len, rate, space, .. } in fields {
-            record_adam(rec, ADAM, *values, *gradient, *moments, schedule, *rate, *space, *len);
+        for Field { values, gradient, moments, len, rate, space, eps, .. } in fields {
+            record_adam(rec, Adam { eps: *eps, ..ADAM }, *values, *gradient, *moments, schedule, *rate, *space, *len);
         }
     });
     let Field { values: scales, len, rate, .. } = &fields[1];

@@ -106,8 +106,8 @@ pub struct PerceptualLoss {
     pub network: LpipsNetwork,
 }
 
-/// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they shrink
-/// with the square root of their number.
+/// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they are
+/// inversely proportional to the steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearningRates {
     /// Rate of centers, relative to the scene scale.

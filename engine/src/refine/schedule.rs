@@ -11,7 +11,8 @@ const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
 const SHORTEST: u32 = 96;
 
 /// Cosine decay of the rate to a tenth, and a coarse-to-fine order of photo sizes. The first rate
-/// shrinks with the square root of the steps.
+/// is inversely proportional to the steps: Gaussians that few photos constrain drift at full rate,
+/// so a Gaussian's longest path must not grow with the steps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
@@ -22,7 +23,7 @@ pub(super) struct Schedule {
 impl Schedule {
     pub fn rate(&self, step: usize) -> f32 {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
-        let first = (FULL / self.steps as f64).min(1.0).sqrt();
+        let first = (FULL / self.steps as f64).min(1.0);
         self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
@@ -64,7 +65,7 @@ mod tests {
         assert_eq!((schedule.phases(252), schedule.phases(84)), (vec![(0.5, 2), (0.5, 1)], vec![(1.0, 1)]));
         assert_eq!(Schedule { coarse: false, ..schedule }.shrink(0, 400), 1);
         assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 2.0);
-        assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 1.0);
+        assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 0.5);
         assert_eq!([12.0, 20.0, 40.0].map(rate_of_error), [1.0, 1.0, 0.1]);
     }
 }
