@@ -18,14 +18,19 @@ macro_rules! families {
 }
 
 families! {
+    attention: "ops/attention",
     backbone: "camera encoding",
     cluster: "cluster",
     gaussians: "gaussians/",
+    gelu: "ops/gelu",
     heads: "heads/",
+    layer_norm: "ops/layer_norm",
+    linear: "ops/linear",
     loss: "loss",
-    ops: "ops/",
     refine: "refine/",
     render: "render",
+    sort: "ops/sort",
+    split_heads: "ops/split_heads",
 }
 
 #[test]

@@ -261,21 +261,20 @@ fn disturbed_cameras_come_back() {
 fn exact_cameras_stay_exact() {
     let cameras = cameras(9);
     let (scene, photos) = photos(&cameras);
-    let refined = refine(
-        &moved(&scene),
-        &photos,
-        &cameras,
-        &RefineOptions {
+    let with = |optimize_cameras: bool| {
+        let request = RefineOptions {
             length: RefineLength::Steps(100),
-            optimize_cameras: true,
+            optimize_cameras,
             holdout_views: Some(1),
             ..RefineOptions::default()
-        },
-    );
+        };
+        refine(&moved(&scene), &photos, &cameras, &request)
+    };
+    let (still, refined) = (with(false), with(true));
     let [degrees, shift] = distance(&refined.cameras, &cameras);
     assert!(degrees > 0.0 && degrees < 0.2 && shift < 0.01, "{degrees} degrees and {shift}");
-    let [after, _] = refined.psnr().unwrap();
-    assert!(after > 45.0, "{after} dB, and some 50 with cameras that stay");
+    let [[without, _], [with, _]] = [still, refined].map(|refined| refined.psnr().unwrap());
+    assert!(with > 40.0 && with > without - 5.0, "{without} dB without, {with} dB with refined cameras");
 }
 
 #[test]
