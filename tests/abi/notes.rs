@@ -25,7 +25,8 @@ fn kernels_that_fail_their_test_are_named() {
         Err(_) => return eprintln!("not tested: {}", message()),
     }
     // Simulates failed kernels that `fast` can do without.
-    let files: Vec<_> = fs::read_dir(cache.path().join("self-test")).unwrap().map(|file| file.unwrap().path()).collect();
+    let files: Vec<_> =
+        fs::read_dir(cache.path().join("self-test")).unwrap().map(|file| file.unwrap().path()).collect();
     let [file] = &files[..] else { panic!("results of one test: {files:?}") };
     let mut known: serde_json::Value = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
     let mut test: SelfTest = serde_json::from_value(known["result"].clone()).unwrap();
