@@ -64,6 +64,24 @@ fn needles_become_shorter() {
 }
 
 #[test]
+fn gaussians_that_photos_hardly_constrain_hardly_move() {
+    let cameras = cameras(4);
+    let (scene, photos) = photos(&cameras);
+    let mut with_faint = scene.clone();
+    with_faint.opacities[0] = 0.01;
+    let request = RefineOptions {
+        length: RefineLength::Steps(60),
+        coarse_to_fine: false,
+        max_gaussians: Some(0),
+        ..RefineOptions::default()
+    };
+    let refined = refine(&with_faint, &photos, &cameras, &request);
+    assert!(refined.best_step > 40, "{}", refined.best_step);
+    let moved = glam::Vec3::from(refined.scene.means[0]).distance(with_faint.means[0].into());
+    assert!(moved < 0.02, "{moved}");
+}
+
+#[test]
 fn moved_gaussians_find_back_and_always_alike() {
     let cameras = cameras(9);
     let (scene, photos) = photos(&cameras);
