@@ -19,11 +19,11 @@ use std::sync::Arc;
 
 /// As in 3D Gaussian Splatting: the gradient of a mean over a picture is small.
 pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
-/// Adam's eps of Gaussians times their number, for means times the scene scale. Gaussians that few
-/// photos constrain have gradients below it and move less, instead of by a full step at any
-/// gradient.
+/// Adam's eps for Gaussians, times their number. Gradients far below it, of Gaussians that few
+/// photos constrain, move them by less than a full step.
 const EPS: f32 = 0.006;
-const MEANS_EPS: f32 = 100.0 * EPS;
+/// The same for means, also times the scene scale.
+const MEANS_EPS: f32 = 0.6;
 /// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;

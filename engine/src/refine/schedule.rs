@@ -10,9 +10,9 @@ const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
 /// Least shorter side of a downscaled photo, in pixels.
 const SHORTEST: u32 = 96;
 
-/// Cosine decay of the rate to a tenth, and a coarse-to-fine order of photo sizes. The first rate
-/// is inversely proportional to the steps: Gaussians that few photos constrain drift at full rate,
-/// so a Gaussian's longest path must not grow with the steps.
+/// Cosine decay of the rate to a tenth, and a coarse-to-fine order of photo sizes. Beyond `FULL`
+/// steps the first rate is inversely proportional to the steps: this bounds the drift of Gaussians
+/// that few photos constrain.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
