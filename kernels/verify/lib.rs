@@ -25,6 +25,7 @@ mod heads {
 }
 mod loss {
     pub mod gradient;
+    pub mod targets;
 }
 mod ops {
     pub mod attention;
@@ -325,6 +326,7 @@ pub fn catalog() -> Vec<Area> {
         gaussians::activate::area(),
         ops::sort::area(),
         render::forward::area(),
+        loss::targets::area(),
         loss::gradient::area(),
         render::backward::rasterize(),
         render::backward::color(),

@@ -30,6 +30,7 @@ mod heads {
 }
 mod loss {
     mod gradient;
+    mod targets;
 }
 mod lpips {
     mod compare;

@@ -4,7 +4,7 @@ use crate::{
     gpu::{Recorder, Run, Tensor},
     stages::{
         SceneTensors,
-        loss::{LossTensors, record_loss},
+        loss::{LossTensors, record_loss, record_targets},
         lpips::{Lpips, LpipsPictures},
         render::{
             CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows, record,
@@ -28,8 +28,8 @@ pub(super) struct Recorded {
 
 #[derive(Clone, Copy)]
 pub(super) struct Learning {
-    /// `[cameras, height, width, 3]`.
-    pub targets: Tensor,
+    /// `[cameras, height, width, 3]` bytes, in whole words.
+    pub photos: Tensor,
     /// `[cameras]`.
     pub losses: Tensor,
     pub perceptual: Option<(f32, Tensor)>,
@@ -63,7 +63,9 @@ pub(super) fn record_photos(
         rec.fill(d_cameras, 0);
         d_cameras
     });
-    let targets = rec.input::<f32>("targets", 3 * count * width as usize * height as usize);
+    let values = 3 * count * width as usize * height as usize;
+    let photos = rec.input::<u32>("photos", values.div_ceil(4));
+    let targets = rec.scope("loss", |rec| record_targets(rec, photos, values));
     let mut learning = None;
     let compare = |rec: &mut Recorder, frames: Tensor| {
         let scale = 1.0 / options.views_per_step as f32;
@@ -73,7 +75,7 @@ pub(super) fn record_photos(
         let perceptual =
             lpips.and_then(|lpips| record_perceptual(rec, lpips, options, [frames, targets, d_frames], shape));
         perceptual.iter().for_each(|(_, value)| rec.output(*value));
-        learning = Some(Learning { targets, losses: value, perceptual, d_cameras });
+        learning = Some(Learning { photos, losses: value, perceptual, d_cameras });
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
@@ -110,9 +112,9 @@ impl PhotoPlan {
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;
-        if let Some(Learning { targets, .. }) = self.recorded.learning {
-            let values: Vec<f32> = views.iter().flat_map(|view| view.values()).collect();
-            self.run.write(targets, &values)?;
+        if let Some(Learning { photos, .. }) = self.recorded.learning {
+            let bytes: Vec<&[u8]> = views.iter().map(|view| view.rgb.as_slice()).collect();
+            self.run.write(photos, &bytes.concat())?;
         }
         Ok(())
     }

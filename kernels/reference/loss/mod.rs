@@ -1,3 +1,4 @@
 //! Image losses.
 
 pub mod gradient;
+pub mod targets;
