@@ -31,6 +31,7 @@ use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
 use refinement::Refinement;
+use schedule::FULL;
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
@@ -43,9 +44,12 @@ const HOLD_OUT_FROM: usize = 40;
 const GROWTH_FROM: usize = 50;
 /// Upper limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
-/// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
-const PIXELS_PER_GAUSSIAN: usize = 32;
-const MOST_GROWTH: usize = 16;
+/// Limits of growth by default up to `FULL` steps: pixels of all photos per Gaussian, and its
+/// factor. More steps allow more Gaussians, in proportion to their square root, up to `MOST_DETAIL`
+/// times as many: fewer would stop improving.
+const PIXELS_PER_GAUSSIAN: f64 = 32.0;
+const MOST_GROWTH: f64 = 16.0;
+const MOST_DETAIL: f64 = 4.0;
 /// Growth by a factor makes the mean step slower by this power of it.
 const GROWTH_COST: f64 = 0.42;
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
@@ -178,8 +182,9 @@ fn grown_len(
     sizes: impl Iterator<Item = [u32; 2]>,
 ) -> Option<usize> {
     let default = || {
-        let pixels: usize = sizes.map(|[width, height]| width as usize * height as usize).sum();
-        (steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
+        let pixels: f64 = sizes.map(|[width, height]| f64::from(width) * f64::from(height)).sum();
+        let detail = (steps as f64 / FULL).sqrt().clamp(1.0, MOST_DETAIL);
+        (steps >= GROWTH_FROM).then(|| (detail * (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len as f64)) as usize)
     };
     options.max_gaussians.or_else(default).filter(|most| *most > len)
 }
@@ -238,12 +243,16 @@ fn run(
     refinement(options, steps)?.finish(&mut progress, begin)
 }
 
-/// Returns the steps in the time of `steps` without growth.
+/// Returns the most steps with growth in the time of `steps` without.
 fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Option<usize>) -> usize {
-    let whole = |steps: f64| steps.max(1.0) as usize;
-    let Some((most, len)) = grow(whole(steps)).zip(len) else { return whole(steps) };
-    let grown = whole(steps / (most as f64 / len as f64).powf(GROWTH_COST));
-    if grow(grown).is_some() { grown } else { GROWTH_FROM - 1 }
+    let factor = |steps: usize| grow(steps).zip(len).map_or(1.0, |(most, len)| most as f64 / len as f64);
+    let (mut fits, mut too_many) = (1, steps as usize + 1);
+    while too_many > fits + 1 {
+        let middle = fits.midpoint(too_many);
+        let end = if middle as f64 * factor(middle).powf(GROWTH_COST) <= steps { &mut fits } else { &mut too_many };
+        *end = middle;
+    }
+    fits
 }
 
 /// Returns half the size of the largest photo as it fits `most`, unless too small.
@@ -286,5 +295,17 @@ mod tests {
             assert_eq!(steps_with_growth(steps, Some(100), grow), grown, "{steps}");
             assert_eq!(steps_with_growth(steps, None, |_| None), steps.max(1.0) as usize);
         }
+    }
+
+    #[test]
+    fn more_steps_allow_more_gaussians() {
+        let grown =
+            |steps: usize, len: usize| grown_len(&RefineOptions::default(), steps, len, [[320, 100]; 2].into_iter());
+        assert_eq!(
+            [49, 50, 100, 400, 1600, 9999].map(|steps| grown(steps, 500)),
+            [None, Some(2000), Some(2000), Some(4000), Some(8000), Some(8000)]
+        );
+        assert_eq!([100, 400].map(|steps| grown(steps, 10)), [Some(160), Some(320)]);
+        assert_eq!([100, 400].map(|steps| grown(steps, 2000)), [None, Some(4000)]);
     }
 }

@@ -1,6 +1,5 @@
 //! Settings of a refinement.
 
-use super::GROWTH_FROM;
 use crate::stages::{loss::Loss, lpips::LpipsNetwork};
 use std::time::Duration;
 
@@ -25,7 +24,7 @@ impl RefineLength {
     pub(super) fn most_steps(self) -> usize {
         match self {
             Self::Steps(steps) => steps,
-            Self::Time(_) => GROWTH_FROM,
+            Self::Time(_) => usize::MAX,
         }
     }
 }
@@ -52,7 +51,8 @@ pub struct RefineOptions {
     pub optimize_cameras: bool,
     /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
     /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of
-    /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number.
+    /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number; from 100 steps
+    /// on more, up to 4 times as many at 1,600.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
