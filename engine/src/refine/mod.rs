@@ -45,13 +45,15 @@ const GROWTH_FROM: usize = 50;
 /// Upper limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
 /// Limits of growth by default up to `FULL` steps: pixels of all photos per Gaussian, and its
-/// factor. More steps allow more Gaussians, in proportion to their square root, up to `MOST_DETAIL`
-/// times as many: fewer would stop improving.
+/// factor. From there to `DETAIL_UNTIL` steps Gaussians increase with the square root of the steps:
+/// fewer would stop improving.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;
 const MOST_GROWTH: f64 = 16.0;
-const MOST_DETAIL: f64 = 4.0;
-/// Growth by a factor makes the mean step slower by this power of it.
+const DETAIL_UNTIL: usize = 1600;
+/// Growth by a factor makes the mean step slower by this power of it, more Gaussians for more steps
+/// also by this power of their number.
 const GROWTH_COST: f64 = 0.42;
+const DETAIL_COST: f64 = 0.35;
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
 const ENOUGH_STEPS: u32 = 150;
 const SHORTEST: u32 = 240;
@@ -183,10 +185,14 @@ fn grown_len(
 ) -> Option<usize> {
     let default = || {
         let pixels: f64 = sizes.map(|[width, height]| f64::from(width) * f64::from(height)).sum();
-        let detail = (steps as f64 / FULL).sqrt().clamp(1.0, MOST_DETAIL);
-        (steps >= GROWTH_FROM).then(|| (detail * (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len as f64)) as usize)
+        let most = (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len as f64);
+        (steps >= GROWTH_FROM).then_some((detail(steps) * most) as usize)
     };
     options.max_gaussians.or_else(default).filter(|most| *most > len)
+}
+
+fn detail(steps: usize) -> f64 {
+    (steps.min(DETAIL_UNTIL) as f64 / FULL).sqrt().max(1.0)
 }
 
 fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
@@ -245,11 +251,14 @@ fn run(
 
 /// Returns the most steps with growth in the time of `steps` without.
 fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Option<usize>) -> usize {
-    let factor = |steps: usize| grow(steps).zip(len).map_or(1.0, |(most, len)| most as f64 / len as f64);
+    let cost = |steps: usize| {
+        let factor = grow(steps).zip(len).map(|(most, len)| most as f64 / len as f64);
+        factor.map_or(1.0, |factor| factor.powf(GROWTH_COST) * detail(steps).powf(DETAIL_COST))
+    };
     let (mut fits, mut too_many) = (1, steps as usize + 1);
     while too_many > fits + 1 {
         let middle = fits.midpoint(too_many);
-        let end = if middle as f64 * factor(middle).powf(GROWTH_COST) <= steps { &mut fits } else { &mut too_many };
+        let end = if middle as f64 * cost(middle) <= steps { &mut fits } else { &mut too_many };
         *end = middle;
     }
     fits
@@ -291,7 +300,7 @@ mod tests {
     fn growth_leaves_time_for_fewer_steps() {
         let grow = |steps: usize| (steps >= GROWTH_FROM).then_some(400);
         // Four times the Gaussians make a step 1.79 times slower.
-        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 558)] {
+        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 432)] {
             assert_eq!(steps_with_growth(steps, Some(100), grow), grown, "{steps}");
             assert_eq!(steps_with_growth(steps, None, |_| None), steps.max(1.0) as usize);
         }

@@ -1,5 +1,6 @@
 //! Settings of a refinement.
 
+use super::DETAIL_UNTIL;
 use crate::stages::{loss::Loss, lpips::LpipsNetwork};
 use std::time::Duration;
 
@@ -24,7 +25,7 @@ impl RefineLength {
     pub(super) fn most_steps(self) -> usize {
         match self {
             Self::Steps(steps) => steps,
-            Self::Time(_) => usize::MAX,
+            Self::Time(_) => DETAIL_UNTIL,
         }
     }
 }
