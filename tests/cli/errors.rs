@@ -184,7 +184,7 @@ fn wrong_usage_exits_with_2() {
         "convert @/scene.ply --weights seeded:vits",
         "convert @/scene.ply --max-gaussians-per-token 2",
         "doctor list --drop-invalid",
-        "reconstruct @/photos --views 193 -o @/out.ply",
+        "reconstruct @/photos --views 0 -o @/out.ply",
     ] {
         let outcome = folder.run(line);
         assert_eq!((outcome.code, outcome.out.as_str()), (2, ""), "{line}");

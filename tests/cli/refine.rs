@@ -187,6 +187,10 @@ fn reconstructions_are_refined() {
         assert!(text.contains("against 9 photos"), "{text}");
         assert_eq!(text.contains("tokens"), start == "scene", "{text}");
     }
+    // The network takes 192 photos.
+    let many = PHOTOS.replace("@/place/images", &["@/place/images"; 20].join(" "));
+    let text = folder.run(&format!("reconstruct {many} --refine=2 --init points -o @/many.ply")).success();
+    assert!(text.contains("against 199 photos"), "{text}");
     let wrong = line.replace("--json", "--refine=8 --refine-target tokens --init points -o @/none.ply");
     folder.run(&wrong).fails(3, &["--init", "tokens"]);
     assert_eq!(folder.run("reconstruct @/photos --weights @/micro.safetensors --refine -o @/none.ply").code, 2);

@@ -9,6 +9,7 @@ use crate::{
 use clap::Args;
 use rayon::prelude::*;
 use std::{
+    borrow::Cow,
     cmp::Ordering,
     collections::HashSet,
     ffi::OsString,
@@ -17,6 +18,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
+    refine::Photos,
     types::{
         Image, PHOTO_EXTENSIONS, is_photo, natural_order,
         poses::{Capture, CaptureView},
@@ -274,23 +276,53 @@ pub fn spread(photos: Vec<PathBuf>, count: Option<u32>) -> Vec<PathBuf> {
     (0..count).map(|i| photos[(i * last + steps / 2) / steps].clone()).collect()
 }
 
-/// Reads photos concurrently and maps them with `make`, by index. Photos with `frames` are read as
-/// by [`CaptureView::open`]: COLMAP's cameras ignore the EXIF orientation.
+/// Photos that are opened when needed, with `frames` as by [`CaptureView::open`]: COLMAP's cameras
+/// ignore the EXIF orientation.
+pub struct PhotoFiles<'a> {
+    paths: &'a [PathBuf],
+    frames: &'a [&'a CaptureView],
+    sizes: Vec<[u32; 2]>,
+}
+
+impl<'a> PhotoFiles<'a> {
+    /// Reads the sizes of photos.
+    pub fn new(paths: &'a [PathBuf], frames: &'a [&'a CaptureView]) -> Result<Self> {
+        let size = |path: &PathBuf| if frames.is_empty() { Image::size(path) } else { Image::size_as_stored(path) };
+        let sizes = paths.par_iter().map(|path| size(path).map(<[u32; 2]>::from));
+        Ok(Self { paths, frames, sizes: sizes.collect::<Vec<_>>().into_iter().collect::<Result<_>>()? })
+    }
+}
+
+impl Photos for PhotoFiles<'_> {
+    fn count(&self) -> usize {
+        self.paths.len()
+    }
+
+    fn size(&self, i: usize) -> [u32; 2] {
+        self.sizes[i]
+    }
+
+    fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
+        let path = &self.paths[i];
+        self.frames.get(i).map_or_else(|| Image::open(path), |frame| frame.open(path)).map(Cow::Owned)
+    }
+}
+
+/// Reads photos concurrently and maps them with `make`, by index.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&CaptureView],
     stage: &Stage<'_>,
     make: impl Fn(usize, Image) -> Result<T> + Sync,
 ) -> Result<Vec<T>> {
-    let done = AtomicUsize::new(0);
-    let read = |(i, path): (usize, &PathBuf)| {
-        let photo = frames.get(i).map_or_else(|| Image::open(path), |frame| frame.open(path));
-        let made = make(i, photo?)?;
+    let (done, files) = (AtomicUsize::new(0), PhotoFiles { paths: photos, frames, sizes: Vec::new() });
+    let read = |i: usize| {
+        let made = make(i, files.open(i)?.into_owned())?;
         let done = 1 + done.fetch_add(1, atomic::Ordering::Relaxed);
         stage.reach(done as f64 / photos.len() as f64)?;
         Ok(made)
     };
-    photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
+    (0..photos.len()).into_par_iter().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
 pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {

@@ -28,8 +28,9 @@ pub fn bounded_views<P: Borrow<Image>>(
 ) -> Result<Vec<View>> {
     let scaled = |i: usize| {
         let photo = photo(i)?;
-        let image = bounded(photo.borrow(), bound)?;
-        Ok(View { map: PixelMap::resized(photo.borrow(), image.width, image.height), image })
+        let photo = photo.borrow();
+        let image = bounded(photo, bound)?;
+        Ok(View { map: PixelMap::resized([photo.width, photo.height], [image.width, image.height]), image })
     };
     let mut views = (0..count).into_par_iter().map(scaled).collect::<Result<Vec<View>>>()?;
     let least = |side: fn(&Image) -> u32| views.iter().map(|view| side(&view.image)).min().unwrap_or_default();

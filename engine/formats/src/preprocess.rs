@@ -43,13 +43,13 @@ impl PixelMap {
 
     /// Returns the identity map of a photo.
     pub fn identity(photo: &Image) -> Self {
-        Self::resized(photo, photo.width, photo.height)
+        Self::resized([photo.width, photo.height], [photo.width, photo.height])
     }
 
-    /// Returns the map of a whole photo resized to `width` x `height`.
-    pub fn resized(photo: &Image, width: u32, height: u32) -> Self {
-        let scale = [f64::from(width) / f64::from(photo.width), f64::from(height) / f64::from(photo.height)];
-        Self { from: [photo.width, photo.height], to: [width, height], scale, offset: [0.0; 2] }
+    /// Returns the map of a whole photo of size `from` resized to `to`, both `[width, height]`.
+    pub fn resized(from: [u32; 2], to: [u32; 2]) -> Self {
+        let scale = [0, 1].map(|axis| f64::from(to[axis]) / f64::from(from[axis]));
+        Self { from, to, scale, offset: [0.0; 2] }
     }
 
     /// Maps intrinsics of the photo, in any resolution, to the result.
@@ -119,8 +119,9 @@ pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
 pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));
-    let [width, height] = [photo.width, photo.height].map(|length| (f64::from(length) * scale).round() as u32);
-    Ok(View { image: resize_lanczos(photo, width, height)?, map: PixelMap::resized(photo, width, height) })
+    let from = [photo.width, photo.height];
+    let to = from.map(|length| (f64::from(length) * scale).round() as u32);
+    Ok(View { image: resize_lanczos(photo, to[0], to[1])?, map: PixelMap::resized(from, to) })
 }
 
 /// A rectangle of pixels.

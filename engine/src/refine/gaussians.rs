@@ -153,7 +153,8 @@ impl Gaussians {
         for alike in views.chunk_by(|a, b| a.size == b.size) {
             let mut left = alike;
             while !left.is_empty() {
-                let pixels = left[0].rgb.len() / 3;
+                let [width, height] = left[0].size;
+                let pixels = width as usize * height as usize;
                 let count = left.len().min(self.batch_size).min(max_batch(pixels));
                 let (views, behind) = left.split_at(count);
                 match self.run(views, true) {

@@ -7,6 +7,7 @@ mod free_space;
 mod gaussians;
 mod growth;
 mod options;
+mod photos;
 mod plan;
 mod planned;
 mod refinement;
@@ -18,6 +19,7 @@ pub use adam::{Adam, Rate, Space, record_adam};
 pub use anisotropy::record_anisotropy_limit;
 pub use cameras::PoseAdam;
 pub use options::{LearningRates, PerceptualLoss, RefineLength, RefineOptions};
+pub use photos::Photos;
 pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use tokens::FrozenHead;
 
@@ -25,18 +27,19 @@ use crate::{
     Error, Result,
     gpu::{Arena, Profile},
     reconstruct::SceneTokens,
-    types::{Camera, Image, Scene},
+    types::{Camera, Scene},
 };
 use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
+use photos::PhotoCache;
 use refinement::Refinement;
-use schedule::FULL;
+use schedule::{FULL, Schedule};
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
 };
-use views::size;
+use views::fitted;
 
 /// Least number of photos with a held-out one by default: fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
@@ -83,6 +86,8 @@ pub enum StopReason {
     Cancelled,
     /// The loss became NaN or infinite, or grew.
     Diverged(String),
+    /// A photo could not be opened.
+    Unreadable(String),
 }
 
 /// Result of a refinement.
@@ -135,7 +140,7 @@ impl RefineResult {
 pub fn refine_scene(
     arena: &Arena,
     scene: &Scene,
-    photos: &[Image],
+    photos: impl Photos,
     cameras: &[Camera],
     options: &RefineOptions,
     progress: impl FnMut(RefineProgress<'_>) -> ControlFlow<()>,
@@ -150,7 +155,7 @@ pub fn refine_scene(
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, options)?;
         Ok((gaussians, (scene.clone(), scene_distance)))
     };
-    run(arena, make, Some(scene.len()), photos, cameras, options, progress)
+    run(arena, make, Some(scene.len()), &photos, cameras, options, progress)
 }
 
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
@@ -161,7 +166,7 @@ pub fn refine_tokens(
     arena: &Arena,
     head: &FrozenHead,
     tokens: &SceneTokens,
-    photos: &[Image],
+    photos: impl Photos,
     cameras: &[Camera],
     options: &RefineOptions,
     progress: impl FnMut(RefineProgress<'_>) -> ControlFlow<()>,
@@ -172,7 +177,7 @@ pub fn refine_tokens(
         let scene_distance = distance(&scene, cameras);
         Ok((gaussians, (scene, scene_distance)))
     };
-    run(arena, make, None, photos, cameras, options, progress)
+    run(arena, make, None, &photos, cameras, options, progress)
 }
 
 /// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
@@ -206,47 +211,71 @@ fn run(
     arena: &Arena,
     make: impl Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>,
     len: Option<usize>,
-    photos: &[Image],
+    photos: &dyn Photos,
     cameras: &[Camera],
     options: &RefineOptions,
     mut progress: impl FnMut(RefineProgress<'_>) -> ControlFlow<()>,
 ) -> Result<RefineResult> {
     let begin = Instant::now();
-    if photos.is_empty() || photos.len() != cameras.len() {
-        let expected = format!("one for each of {} photos, at least one", photos.len());
+    let count = photos.count();
+    if count == 0 || count != cameras.len() {
+        let expected = format!("one for each of {count} photos, at least one");
         return Err(Error::argument("cameras", cameras.len(), expected));
     }
-    let mut options = filled(options, photos.len())?;
+    let mut options = filled(options, count)?;
     let (arena, _claim) = arena.claimed();
-    let refinement = |options: RefineOptions, steps: usize| {
+    let cache = |options: &RefineOptions| {
+        let shortest = sizes(photos, options.max_image_size).flatten().min().unwrap_or(0);
+        let schedule = Schedule { steps: 1, rate: 1.0, coarse: options.coarse_to_fine };
+        let factors = schedule.phases(shortest).into_iter().map(|(_, factor)| factor).collect();
+        PhotoCache::new(photos, options.max_image_size, factors, options.max_photo_bytes)
+    };
+    let mut cached = cache(&options);
+    let refinement = |options: RefineOptions, steps: usize, cached| {
         let (gaussians, scene) = make(&arena, &options)?;
-        Refinement::new(gaussians, scene, photos, cameras, options, steps)
+        Refinement::new(gaussians, scene, cached, cameras, options, steps)
     };
     let grow = |options: &RefineOptions, steps: usize| {
-        let sizes = photos.iter().map(|photo| size(photo, options.max_image_size, 1));
-        len.and_then(|len| grown_len(options, steps, len, sizes))
+        len.and_then(|len| grown_len(options, steps, len, sizes(photos, options.max_image_size)))
     };
-    let probe = |options: &RefineOptions| refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1);
+    let probe = |options: &RefineOptions, cached| {
+        refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1, cached)
+    };
     let may_grow = options.max_gaussians.is_none() && grow(&options, options.length.most_steps()).is_some();
-    if may_grow && probe(&options)?.training_psnr(cameras)? >= GROWTH_BELOW {
-        options.max_gaussians = Some(0);
+    if may_grow {
+        let mut probe = probe(&options, cached)?;
+        if probe.training_psnr(cameras)? >= GROWTH_BELOW {
+            options.max_gaussians = Some(0);
+        }
+        cached = probe.photos;
     }
     let steps = match options.length {
         RefineLength::Steps(steps) => steps,
         RefineLength::Time(time) => {
-            let mut step = probe(&options)?.time_step()?;
-            while step * ENOUGH_STEPS > time
-                && let Some(half) = half_size(photos, options.max_image_size)
-            {
-                options.max_image_size = Some(half);
-                step = probe(&options)?.time_step()?;
-            }
+            let step = loop {
+                let mut probe = probe(&options, cached)?;
+                let step = probe.time_step()?;
+                match half_size(photos, options.max_image_size) {
+                    Some(half) if step * ENOUGH_STEPS > time => {
+                        options.max_image_size = Some(half);
+                        cached = cache(&options);
+                    }
+                    _ => {
+                        cached = probe.photos;
+                        break step;
+                    }
+                }
+            };
             let left = time.saturating_sub(begin.elapsed());
             steps_with_growth(left.as_secs_f64() / step.as_secs_f64(), len, |steps| grow(&options, steps))
         }
     };
     options.max_gaussians = grow(&options, steps);
-    refinement(options, steps)?.finish(&mut progress, begin)
+    refinement(options, steps, cached)?.finish(&mut progress, begin)
+}
+
+fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>) -> impl Iterator<Item = [u32; 2]> {
+    (0..photos.count()).map(move |i| fitted(photos.size(i), most, 1))
 }
 
 /// Returns the most steps with growth in the time of `steps` without.
@@ -265,8 +294,8 @@ fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Opt
 }
 
 /// Returns half the size of the largest photo as it fits `most`, unless too small.
-fn half_size(photos: &[Image], most: Option<[u32; 2]>) -> Option<[u32; 2]> {
-    let halves = photos.iter().map(|photo| size(photo, most, 2));
+fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
+    let halves = (0..photos.count()).map(|i| fitted(photos.size(i), most, 2));
     halves.max_by_key(|[width, height]| width * height).filter(|half| half.iter().all(|side| *side >= SHORTEST))
 }
 

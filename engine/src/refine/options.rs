@@ -39,6 +39,9 @@ pub struct RefineOptions {
     pub views_per_step: usize,
     /// Largest width and height of photos; larger ones are downscaled. `None`: full size.
     pub max_image_size: Option<[u32; 2]>,
+    /// Limit of the photos' bytes in host memory; others are opened again at every use. A few more
+    /// are in use. 4 GiB by default.
+    pub max_photo_bytes: u64,
     /// Number of held-out photos, which reveal overfitting. `None`: 1 from 40 photos on, 0 if
     /// cameras are refined.
     pub holdout_views: Option<usize>,
@@ -80,6 +83,7 @@ impl Default for RefineOptions {
             length: RefineLength::default(),
             views_per_step: 4,
             max_image_size: Some([1600; 2]),
+            max_photo_bytes: 4 << 30,
             holdout_views: None,
             loss: Loss::L1Dssim,
             perceptual_loss: None,

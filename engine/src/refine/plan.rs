@@ -6,7 +6,7 @@ use super::{
     record_adam,
     schedule::Schedule,
     tokens_grow_not,
-    views::size,
+    views::fitted,
 };
 use crate::{
     Result,
@@ -19,7 +19,7 @@ use crate::{
         lpips::Lpips,
         render::{FrameShape, Gradients, SceneTensors, first_capacity, planned_capacity},
     },
-    types::{Image, NEAR},
+    types::NEAR,
 };
 
 /// Optimized parameters.
@@ -64,8 +64,7 @@ pub fn plan_refinement(
     }
     let (len, sh_degree) = match moved {
         Moved::Gaussians(len, sh_degree) => {
-            let photo = Image { width, height, rgb: Vec::new() };
-            let sizes = std::iter::repeat_n(size(&photo, options.max_image_size, 1), photos);
+            let sizes = std::iter::repeat_n(fitted([width, height], options.max_image_size, 1), photos);
             (grown_len(&options, options.length.most_steps(), len, sizes).unwrap_or(len), sh_degree)
         }
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
@@ -125,16 +124,15 @@ fn record_steps(
     [width, height]: [u32; 2],
     options: &RefineOptions,
 ) -> Result<()> {
-    let photo = Image { width, height, rgb: Vec::new() };
-    let photo_size = |shrink| size(&photo, options.max_image_size, shrink);
+    let photo_size = |factor| fitted([width, height], options.max_image_size, factor);
     let steps = options.length.most_steps();
     let schedule = Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine };
     let shortest = photo_size(1).into_iter().min().unwrap_or(0);
-    let mut shrinks: Vec<u32> = (0..steps).map(|step| schedule.shrink(step, shortest)).collect();
-    shrinks.dedup();
     let each = options.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
-    for shrink in shrinks {
-        let [width, height] = photo_size(shrink);
+    let mut factors: Vec<u32> = (0..steps).map(|step| schedule.shrink(step, shortest)).collect();
+    factors.dedup();
+    for factor in factors {
+        let [width, height] = photo_size(factor);
         let pixels = width as usize * height as usize;
         let cameras = batch_size(options, limits).min(options.views_per_step).min(max_batch(pixels));
         let shape = FrameShape { cameras, width, height };

@@ -4,17 +4,18 @@ use super::{
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
+    photos::{PhotoCache, Rgb},
     planned::PhotoLoss,
     schedule::{Schedule, rate_of_error},
-    views::{Order, View, size, split},
+    views::{Order, View, resized, split},
 };
 use crate::{
     Error, Result,
     gpu::Profile,
-    types::{Camera, Image, Scene},
+    types::{Camera, Scene},
 };
-use rayon::prelude::*;
 use std::{
+    collections::VecDeque,
     ops::ControlFlow,
     time::{Duration, Instant},
 };
@@ -28,7 +29,7 @@ const SLACK: f64 = 0.5;
 const DIVERGED: f32 = 4.0;
 
 pub(super) struct Refinement<'a> {
-    photos: &'a [Image],
+    pub photos: PhotoCache<'a>,
     cameras: Cameras,
     options: RefineOptions,
     steps: usize,
@@ -37,8 +38,12 @@ pub(super) struct Refinement<'a> {
     growth: Option<(Growth, FreeSpace)>,
     order: Order,
     training: Vec<usize>,
-    views: Vec<View>,
-    shrink: u32,
+    /// Photos of the next steps.
+    upcoming: VecDeque<usize>,
+    /// Downscaling factor.
+    factor: u32,
+    /// Photos of the training PSNR.
+    measured: Vec<View>,
     validation: Vec<View>,
     holdout: Vec<usize>,
     sizes: Vec<(usize, [u32; 2])>,
@@ -66,14 +71,18 @@ impl<'a> Refinement<'a> {
     pub fn new(
         mut gaussians: Gaussians,
         (scene, scene_distance): (Scene, f64),
-        photos: &'a [Image],
+        mut photos: PhotoCache<'a>,
         cameras: &[Camera],
         options: RefineOptions,
         steps: usize,
     ) -> Result<Self> {
-        let (training, holdout) = split(photos.len(), options.holdout_views.unwrap_or(0));
-        let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], options.max_image_size, 1);
-        let validation = holdout.par_iter().map(view).collect::<Result<Vec<_>>>()?;
+        for (i, camera) in cameras.iter().enumerate() {
+            resized(i, camera, photos.photos.size(i), photos.size(i, 1))?;
+        }
+        let (training, holdout) = split(cameras.len(), options.holdout_views.unwrap_or(0));
+        let measured: Vec<usize> = training.iter().step_by(training.len().div_ceil(MAX_MEASURED)).copied().collect();
+        let [measured, validation] = [&measured, &holdout].map(|chosen| photos.views(cameras, chosen, &[], 1));
+        let (measured, validation) = (measured?, validation?);
         // The first camera fixes the world.
         let moving = if options.optimize_cameras { &training[1..] } else { &[] };
         let rates = [
@@ -95,8 +104,9 @@ impl<'a> Refinement<'a> {
             gaussians,
             growth,
             training,
-            views: Vec::new(),
-            shrink: 0,
+            upcoming: VecDeque::new(),
+            factor: 0,
+            measured,
             validation,
             holdout,
             fraction: 1.0,
@@ -161,11 +171,20 @@ impl<'a> Refinement<'a> {
         let steps = self.steps;
         let interval = steps.div_ceil(EVALUATIONS).max(1);
         self.evaluate(0)?;
+        self.photos.fill(&self.training)?;
         for step in 0..steps {
-            self.resize(step)?;
-            let chosen: Vec<usize> = (0..self.options.views_per_step).map(|_| self.order.next()).collect();
-            let views: Vec<&View> = chosen.iter().map(|i| &self.views[*i]).collect();
-            let found = self.gaussians.step(&views, self.fraction * self.schedule.rate(step))?;
+            self.resize(step);
+            let views = match self.next_views() {
+                Ok(views) => views,
+                Err(error) if step > 0 => {
+                    self.evaluate(step)?;
+                    self.keep();
+                    return Ok(Some(StopReason::Unreadable(error.to_string())));
+                }
+                Err(error) => return Err(error),
+            };
+            let found =
+                self.gaussians.step(&views.iter().collect::<Vec<_>>(), self.fraction * self.schedule.rate(step))?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
             self.losses.push(loss);
             self.move_cameras(step, &found);
@@ -203,25 +222,35 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
+    fn next_views(&mut self) -> Result<Vec<View>> {
+        let count = self.options.views_per_step;
+        while self.upcoming.len() < count + rayon::current_num_threads() {
+            self.upcoming.push_back(self.training[self.order.next()]);
+        }
+        let now: Vec<usize> = self.upcoming.drain(..count).collect();
+        self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)
+    }
+
     pub fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
-        let step = self.training.len().div_ceil(MAX_MEASURED);
-        let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.training.len()).partition(|i| i % step == 0);
-        let mut measure = |i: usize| {
-            let photo = self.training[i];
-            let view = View::new(photo, &self.photos[photo], &cameras[photo], self.options.max_image_size, 1)?;
-            let (drawn, intersections) = self.gaussians.draw(&view)?;
-            Ok((psnr(&drawn, &view), intersections > 0))
-        };
-        let found = measured.iter().map(|i| measure(*i)).collect::<Result<Vec<(f64, bool)>>>()?;
-        let mut seen = found.iter().any(|(_, seen)| *seen);
-        for i in others {
-            seen = seen || measure(i)?.1;
+        let (mut sum, mut seen) = (0.0, false);
+        for view in &mut self.measured {
+            view.camera.pose = cameras[view.photo].pose;
+            let (drawn, intersections) = self.gaussians.draw(view)?;
+            sum += psnr(&drawn, view);
+            seen |= intersections > 0;
+        }
+        for photo in &self.training {
+            if !seen {
+                let size = self.photos.size(*photo, 1);
+                let camera = resized(*photo, &cameras[*photo], self.photos.photos.size(*photo), size)?;
+                seen = self.gaussians.draw(&View { photo: *photo, size, rgb: Rgb::default(), camera })?.1 > 0;
+            }
         }
         if !seen {
             let expected = "cameras in the scene's world that have some of it in front of them";
             return Err(Error::argument("scene to refine", "no Gaussian that any photo's camera sees", expected));
         }
-        Ok(found.iter().map(|(psnr, _)| psnr).sum::<f64>() / found.len() as f64)
+        Ok(sum / self.measured.len() as f64)
     }
 
     fn move_cameras(&mut self, step: usize, found: &[PhotoLoss]) {
@@ -229,16 +258,14 @@ impl<'a> Refinement<'a> {
         for PhotoLoss { photo, d_pose, .. } in found {
             d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, self.schedule.rate(step), along));
         }
-        let cameras = self.cameras.all();
-        self.views.iter_mut().for_each(|view| view.camera.pose = cameras[view.photo].pose);
     }
 
     /// Returns the mean time of a step, from one at each size. Changes the Gaussians' moments.
     pub fn time_step(&mut self) -> Result<Duration> {
         let mut mean = Duration::ZERO;
-        for (fraction, shrink) in self.schedule.phases(self.shortest()) {
-            self.resize_to(0, shrink)?;
-            let views: Vec<&View> = self.views.iter().take(self.options.views_per_step).collect();
+        for (fraction, factor) in self.schedule.phases(self.shortest()) {
+            let views = self.first_views(factor)?;
+            let views: Vec<&View> = views.iter().collect();
             // The first records and compiles.
             self.gaussians.step(&views, 0.0)?;
             let begin = Instant::now();
@@ -248,25 +275,27 @@ impl<'a> Refinement<'a> {
         Ok(mean)
     }
 
+    /// Returns as many views as a step has.
+    fn first_views(&mut self, factor: u32) -> Result<Vec<View>> {
+        let chosen = &self.training[..self.training.len().min(self.options.views_per_step)];
+        self.photos.views(self.cameras.all(), chosen, &[], factor)
+    }
+
+    fn sizes(&self, factor: u32) -> impl Iterator<Item = [u32; 2]> {
+        self.training.iter().map(move |i| self.photos.size(*i, factor))
+    }
+
     fn shortest(&self) -> u32 {
-        let shortest = |i: &usize| size(&self.photos[*i], self.options.max_image_size, 1).into_iter().min();
-        self.training.iter().filter_map(shortest).min().unwrap_or(0)
+        self.sizes(1).flatten().min().unwrap_or(0)
     }
 
-    fn resize(&mut self, step: usize) -> Result<()> {
-        self.resize_to(step, self.schedule.shrink(step, self.shortest()))
-    }
-
-    fn resize_to(&mut self, step: usize, shrink: u32) -> Result<()> {
-        if self.shrink != shrink {
-            let cameras = self.cameras.all();
-            let view = |i: &usize| View::new(*i, &self.photos[*i], &cameras[*i], self.options.max_image_size, shrink);
-            self.views = self.training.par_iter().map(view).collect::<Result<Vec<_>>>()?;
-            (self.shrink, self.began, self.least, self.latest) = (shrink, step, f32::INFINITY, 0.0);
-            let largest = self.views.iter().map(|view| view.size).max_by_key(|[width, height]| width * height);
+    fn resize(&mut self, step: usize) {
+        let factor = self.schedule.shrink(step, self.shortest());
+        if self.factor != factor {
+            (self.factor, self.began, self.least, self.latest) = (factor, step, f32::INFINITY, 0.0);
+            let largest = self.sizes(factor).max_by_key(|[width, height]| width * height);
             self.sizes.extend(largest.map(|size| (step, size)));
         }
-        Ok(())
     }
 
     /// Marks a checkpoint when held-out PSNR improves. Without held-out photos, when the mean loss
@@ -327,9 +356,8 @@ impl<'a> Refinement<'a> {
     }
 
     fn profile(&mut self) -> Result<Profile> {
-        self.resize(self.steps)?;
-        let views: Vec<&View> = self.views.iter().take(self.options.views_per_step).collect();
-        self.gaussians.profile(&views)
+        let views = self.first_views(1)?;
+        self.gaussians.profile(&views.iter().collect::<Vec<_>>())
     }
 }
 

@@ -1,42 +1,37 @@
+use super::photos::Rgb;
 use crate::{
     Result,
     random::Random,
     stages::render::check_camera,
-    types::{Camera, Image, preprocess::PixelMap, resample::resize_lanczos},
+    types::{Camera, preprocess::PixelMap},
 };
 
 pub(super) struct View {
     pub photo: usize,
     pub size: [u32; 2],
-    /// `[height][width][rgb]`.
-    pub rgb: Vec<u8>,
+    pub rgb: Rgb,
     pub camera: Camera,
 }
 
 impl View {
-    /// Downscales photo `i` to fit `most`, then divides its sides by `shrink`.
-    pub fn new(i: usize, photo: &Image, camera: &Camera, most: Option<[u32; 2]>, shrink: u32) -> Result<Self> {
-        photo.validate()?;
-        check_camera(i, camera)?;
-        let [width, height] = size(photo, most, shrink);
-        let map = PixelMap::resized(photo, width, height);
-        let camera = Camera { intrinsics: map.apply(&camera.intrinsics, &format!("camera {i}"))?, ..*camera };
-        let rgb = resize_lanczos(photo, width, height)?.rgb;
-        Ok(Self { photo: i, size: [width, height], rgb, camera })
-    }
-
     pub fn values(&self) -> impl Iterator<Item = f32> {
         self.rgb.iter().map(|value| f32::from(*value) / 255.0)
     }
 }
 
-pub(super) fn size(photo: &Image, most: Option<[u32; 2]>, shrink: u32) -> [u32; 2] {
-    let sides = [photo.width, photo.height];
-    let fits = |[width, height]: [u32; 2]| {
-        (f64::from(width) / f64::from(photo.width)).min(f64::from(height) / f64::from(photo.height))
-    };
-    let scale = most.map_or(1.0, fits).min(1.0) / f64::from(shrink);
-    sides.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
+/// Returns the camera of a photo `from` a size, at another size.
+pub(super) fn resized(i: usize, camera: &Camera, from: [u32; 2], size: [u32; 2]) -> Result<Camera> {
+    check_camera(i, camera)?;
+    let intrinsics = PixelMap::resized(from, size).apply(&camera.intrinsics, &format!("camera {i}"))?;
+    Ok(Camera { intrinsics, ..*camera })
+}
+
+/// Returns the size of a photo that fits `most`, with its sides divided by `factor`.
+pub(super) fn fitted(size: [u32; 2], most: Option<[u32; 2]>, factor: u32) -> [u32; 2] {
+    let fits =
+        |[width, height]: [u32; 2]| (f64::from(width) / f64::from(size[0])).min(f64::from(height) / f64::from(size[1]));
+    let scale = most.map_or(1.0, fits).min(1.0) / f64::from(factor);
+    size.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
 /// Splits `count` photos into evenly spaced held-out ones and training ones, returned as training,
@@ -94,9 +89,8 @@ mod tests {
 
     #[test]
     fn photos_keep_their_shape() {
-        let photo = Image { width: 600, height: 400, rgb: Vec::new() };
-        assert_eq!(size(&photo, None, 1), [600, 400]);
-        assert_eq!(size(&photo, Some([252, 252]), 1), [252, 168]);
-        assert_eq!(size(&photo, Some([1600, 1600]), 2), [300, 200]);
+        assert_eq!(fitted([600, 400], None, 1), [600, 400]);
+        assert_eq!(fitted([600, 400], Some([252, 252]), 1), [252, 168]);
+        assert_eq!(fitted([600, 400], Some([1600, 1600]), 2), [300, 200]);
     }
 }

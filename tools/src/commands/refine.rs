@@ -3,7 +3,7 @@ use crate::{
     explain::Explanation,
     options::SceneInput,
     outputs::{self, Overwrite},
-    photos,
+    photos::{self, PhotoFiles},
     refinement::{
         self, DEFAULT_LENGTH, Initialization, Refinable, RefineSettings, RefineTask, parse_steps, save_cameras,
     },
@@ -18,7 +18,7 @@ use zipsplat::{
     gpu::{Arena, Device},
     refine::{RefineOptions, RefineResult, StopReason},
     types::{
-        Camera, Image, SaveOptions, Scene, World,
+        Camera, SaveOptions, Scene, World,
         poses::{Capture, CaptureView, read_cloud},
         read_world,
     },
@@ -102,9 +102,8 @@ impl Refine {
         let started = self.start(session, scene, &poses, &frames)?;
         drop(found);
         let device = session.device()?;
-        let (images, _) =
-            session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
-        let (refined, request) = self.refine(session, &device, &started, &images)?;
+        let files = PhotoFiles::new(&photos, &frames)?;
+        let (refined, request) = self.refine(session, &device, &started, files)?;
         let options = SaveOptions::default();
         let note = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         note.into_iter().for_each(|note| session.note(note));
@@ -165,7 +164,7 @@ impl Refine {
         session: &mut Session<'_>,
         device: &Device,
         started: &Started,
-        photos: &[Image],
+        photos: PhotoFiles<'_>,
     ) -> Result<(RefineResult, RefineOptions)> {
         let request = RefineOptions {
             views_per_step: self.views_per_step,

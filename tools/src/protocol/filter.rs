@@ -51,7 +51,7 @@ fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));
     let even = |side: u32, least: u32| (2 * (f64::from(side) * scale / 2.0).round_ties_even() as u32).max(least);
     let (to_width, to_height) = (even(photo.width, width), even(photo.height, height));
-    let map = PixelMap::resized(photo, to_width, to_height);
+    let map = PixelMap::resized([photo.width, photo.height], [to_width, to_height]);
     if [to_width, to_height] == [photo.width, photo.height] {
         return Ok(View { image: photo.clone(), map });
     }

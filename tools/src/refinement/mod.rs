@@ -18,9 +18,11 @@ use zipsplat::{
     Error, Result,
     gpu::Arena,
     reconstruct::SceneTokens,
-    refine::{FrozenHead, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens},
+    refine::{
+        FrozenHead, Photos, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens,
+    },
     types::{
-        Camera, Image, PointCloud, Pose, Scene,
+        Camera, PointCloud, Pose, Scene,
         poses::{CaptureView, write_frames},
     },
 };
@@ -45,10 +47,12 @@ pub fn refine(
     session: &mut Session<'_>,
     arena: &Arena,
     from: Refinable<'_>,
-    photos: &[Image],
+    photos: impl Photos,
     cameras: &[Camera],
     request: &RefineOptions,
 ) -> Result<RefineResult> {
+    let max_photo_bytes = session.device_options().max_memory_bytes.unwrap_or(u64::MAX).min(request.max_photo_bytes);
+    let request = &RefineOptions { max_photo_bytes, ..request.clone() };
     let mut refined = None;
     let staged = session.stage("refine", |stage| {
         let progress = |at: RefineProgress<'_>| -> ControlFlow<()> {

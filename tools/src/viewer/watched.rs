@@ -128,7 +128,9 @@ impl Watched {
                 let why = match &refined.stop_reason {
                     None => format!("Refined: {kept} of {}.", refined.losses.len()),
                     Some(StopReason::Cancelled) => format!("Stopped: {kept}, the best so far."),
-                    Some(StopReason::Diverged(why)) => format!("Ended early, {why}: {kept}."),
+                    Some(StopReason::Diverged(why) | StopReason::Unreadable(why)) => {
+                        format!("Ended early, {why}: {kept}.")
+                    }
                 };
                 now.psnr = refined.holdout_psnr;
                 now.scene = Some(refined.scene);

@@ -362,7 +362,8 @@ impl From<&RefineResult> for zs_refine_result {
         let stop_reason = match refined.stop_reason {
             None => zs_stop_reason::ZS_STOP_REASON_FINISHED,
             Some(StopReason::Cancelled) => zs_stop_reason::ZS_STOP_REASON_STOPPED,
-            Some(StopReason::Diverged(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
+            // Photos in memory are always readable.
+            Some(StopReason::Diverged(_) | StopReason::Unreadable(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
         };
         Self {
             stop_reason: stop_reason as i32,

@@ -3,6 +3,7 @@ use crate::{
     cameras::{EstimatedCameras, Finder, KnownCameras, Place},
     options::Network,
     photos,
+    refinement::Initialization,
     session::Session,
     video::FrameFolder,
 };
@@ -33,6 +34,7 @@ impl Reconstruct {
         let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
         if self.finds(network) {
             photos = photos::spread(photos, self.views);
+            self.check_count(&photos)?;
         }
         let (poses, found) = match (network, &self.cameras) {
             // One pass gives cameras and scene.
@@ -53,10 +55,23 @@ impl Reconstruct {
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
         let photos = photos::kept(session, photos, poses.as_ref(), self.views)?;
-        if photos.len() > MAX_VIEWS {
-            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+        self.check_count(&photos)?;
+        Ok(Captured { photos, poses, frame_folder, found })
+    }
+
+    /// The network has a limit; a refinement of points does without it.
+    fn check_count(&self, photos: &[PathBuf]) -> Result<()> {
+        let from_points = match self.refine.settings.init {
+            Some(init) => init == Initialization::Points,
+            None => self.weights.is_builtin(),
+        };
+        let from_points = from_points && self.refine.steps().is_some_and(|steps| !steps.tokens);
+        if photos.len() > MAX_VIEWS && !from_points {
+            let expected = format!(
+                "1 to {MAX_VIEWS}; --views N takes N of them, evenly spread; --refine --init points takes any number"
+            );
             return Err(Error::argument("views", photos.len(), expected));
         }
-        Ok(Captured { photos, poses, frame_folder, found })
+        Ok(())
     }
 }

@@ -22,7 +22,7 @@ use crate::{
 use captured::Captured;
 use clap::{Arg, Args};
 use each::Batch;
-use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
+use forward::{Forward, LOAD_WEIGHTS};
 use refined::{From, RefineInputs, RefinedScene};
 use serde_json::json;
 use std::{
@@ -71,7 +71,7 @@ const REFINEMENT: &str = "Refinement";
   zipsplat reconstruct captures/ --each --ratio auto --format spz -o scenes/
   zipsplat reconstruct --dry-run --weights seeded:vitg --views 24 --ratio auto
 
-At most {MAX_VIEWS} photos."))]
+At most {MAX_VIEWS} photos, or any number to refine from the capture's points."))]
 pub struct Reconstruct {
     #[command(flatten)]
     input: PhotoArgs,
@@ -88,7 +88,7 @@ pub struct Reconstruct {
     crop: CropOption,
     /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
     /// video]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     views: Option<u32>,
     /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; colmap: estimated
     /// by COLMAP; da3: by Depth Anything 3
@@ -263,10 +263,6 @@ impl Reconstruct {
         times.extend(found.iter().flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took))));
         times.extend(forward.iter().flat_map(|forward| forward.times.clone()));
         if let Some(made) = &refined {
-            match times.iter_mut().find(|(stage, _)| stage == LOAD_PHOTOS) {
-                Some((_, all)) => *all += made.load,
-                None => times.push((LOAD_PHOTOS.to_owned(), made.load)),
-            }
             times.push(("refine".to_owned(), made.refined.took));
         }
         times.push(("write".to_owned(), write));

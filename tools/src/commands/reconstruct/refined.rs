@@ -1,13 +1,9 @@
-use super::{
-    Posed, Reconstruct,
-    forward::{Forward, LOAD_PHOTOS},
-};
+use super::{Posed, Reconstruct, forward::Forward};
 use crate::{
-    photos,
+    photos::PhotoFiles,
     refinement::{self, Initialization, Refinable, RefineTask},
     session::Session,
 };
-use std::time::Duration;
 use zipsplat::{
     Result,
     gpu::{Arena, Device},
@@ -33,7 +29,6 @@ pub struct RefinedScene {
     pub started: String,
     pub cameras: Vec<Camera>,
     pub request: RefineOptions,
-    pub load: Duration,
 }
 
 impl Reconstruct {
@@ -58,8 +53,7 @@ impl Reconstruct {
         let world = frames[0].camera.pose;
         let camera = |frame: &&CaptureView| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
-        let (photos, load) =
-            session.stage(LOAD_PHOTOS, |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
+        let photos = PhotoFiles::new(photos, frames)?;
         let request = self.refine.settings.request(steps);
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
@@ -68,16 +62,16 @@ impl Reconstruct {
             (From::Tokens, Some((tokens, checkpoint))) => {
                 let head = FrozenHead::load(inputs.device, checkpoint)?;
                 let from = Refinable::Tokens(&head, tokens);
-                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, refinement::TOKENS.to_owned())
+                (refinement::refine(session, &arena, from, photos, &cameras, &request)?, refinement::TOKENS.to_owned())
             }
             (From::Tokens, None) => unreachable!("they were asked for"),
             (From::Scene(init), _) => {
                 let scene = inputs.forward.map(|forward| forward.scene.clone());
                 let scene = init.scene(scene, cloud, &cameras)?;
                 let from = Refinable::Scene(&scene);
-                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, init.name().to_owned())
+                (refinement::refine(session, &arena, from, photos, &cameras, &request)?, init.name().to_owned())
             }
         };
-        Ok(RefinedScene { refined, started, cameras, request, load })
+        Ok(RefinedScene { refined, started, cameras, request })
     }
 }

@@ -1,3 +1,5 @@
+mod opened;
+
 use std::time::Duration;
 use zipsplat::refine::{
     LearningRates, PerceptualLoss, RefineLength, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene,

@@ -1,0 +1,188 @@
+use super::views::{View, fitted, resized};
+use crate::{
+    Error, Result,
+    types::{Camera, Image, resample::resize_lanczos},
+};
+use rayon::prelude::*;
+use std::{borrow::Cow, collections::HashMap, sync::Arc};
+
+/// Photos by index, in memory or opened when needed.
+pub trait Photos: Sync {
+    /// Number of photos.
+    fn count(&self) -> usize;
+
+    /// Width and height of a photo in pixels.
+    fn size(&self, i: usize) -> [u32; 2];
+
+    /// Decodes a photo, of this size. Several threads may open photos, also repeatedly.
+    ///
+    /// # Errors
+    /// An unreadable photo.
+    fn open(&self, i: usize) -> Result<Cow<'_, Image>>;
+}
+
+impl<T: AsRef<[Image]> + Sync> Photos for T {
+    fn count(&self) -> usize {
+        self.as_ref().len()
+    }
+
+    fn size(&self, i: usize) -> [u32; 2] {
+        let photo = &self.as_ref()[i];
+        [photo.width, photo.height]
+    }
+
+    fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
+        Ok(Cow::Borrowed(&self.as_ref()[i]))
+    }
+}
+
+/// `[height][width][rgb]`.
+pub(super) type Rgb = Arc<Vec<u8>>;
+
+/// Photos at the sizes of the coarse-to-fine phases. Results are independent of the limit.
+pub(super) struct PhotoCache<'a> {
+    pub photos: &'a dyn Photos,
+    max_size: Option<[u32; 2]>,
+    factors: Vec<u32>,
+    /// Bytes left for further photos.
+    left: u64,
+    /// By photo and downscaling factor.
+    kept: HashMap<(usize, u32), Rgb>,
+    /// Photos beyond the limit, until their use.
+    ahead: HashMap<(usize, u32), Rgb>,
+}
+
+impl<'a> PhotoCache<'a> {
+    /// Photos fit `max_size`, then are downscaled by `factors`.
+    pub fn new(photos: &'a dyn Photos, max_size: Option<[u32; 2]>, factors: Vec<u32>, max_bytes: u64) -> Self {
+        Self { photos, max_size, factors, left: max_bytes, kept: HashMap::new(), ahead: HashMap::new() }
+    }
+
+    pub fn size(&self, i: usize, factor: u32) -> [u32; 2] {
+        fitted(self.photos.size(i), self.max_size, factor)
+    }
+
+    /// Returns photos `now` with their cameras, as [`PhotoCache::get`].
+    pub fn views(&mut self, cameras: &[Camera], now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<View>> {
+        let found = self.get(now, soon, factor)?;
+        let view = |(photo, rgb): (&usize, Rgb)| {
+            let size = self.size(*photo, factor);
+            let camera = resized(*photo, &cameras[*photo], self.photos.size(*photo), size)?;
+            Ok(View { photo: *photo, size, rgb, camera })
+        };
+        now.iter().zip(found).map(view).collect()
+    }
+
+    /// Returns photos `now` at a downscaling factor. If one is to be opened, idle threads open
+    /// photos that are needed `soon`.
+    fn get(&mut self, now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<Rgb>> {
+        self.ahead.retain(|(photo, of), _| *of == factor && (now.contains(photo) || soon.contains(photo)));
+        let mut lacking: Vec<usize> = Vec::new();
+        for (at, photo) in now.iter().chain(soon).enumerate() {
+            let is_known = self.find(*photo, factor).is_some() || lacking.contains(photo);
+            let has_room = at < now.len() || (!lacking.is_empty() && lacking.len() < rayon::current_num_threads());
+            if !is_known && has_room {
+                lacking.push(*photo);
+            }
+        }
+        let lacking = lacking.into_iter().map(|photo| (photo, self.reserve(photo))).collect();
+        self.open_all(lacking, factor)?;
+        Ok(now.iter().map(|photo| self.find(*photo, factor).expect("it was opened").clone()).collect())
+    }
+
+    /// Opens photos while they fit the limit.
+    pub fn fill(&mut self, photos: &[usize]) -> Result<()> {
+        let fitting = photos.iter().filter(|photo| !self.kept.contains_key(&(**photo, 1))).copied();
+        let fitting: Vec<usize> = fitting.collect();
+        let fitting = fitting.into_iter().filter(|photo| self.reserve(*photo)).map(|photo| (photo, true)).collect();
+        self.open_all(fitting, 1)
+    }
+
+    /// Opens photos and whether to keep them.
+    fn open_all(&mut self, photos: Vec<(usize, bool)>, factor: u32) -> Result<()> {
+        let opened = photos.into_par_iter().map(|(photo, keep)| {
+            let photos = self.open(photo, if keep { &self.factors } else { std::slice::from_ref(&factor) })?;
+            Ok((keep, photos))
+        });
+        for (keep, photos) in opened.collect::<Result<Vec<_>>>()? {
+            let to = if keep { &mut self.kept } else { &mut self.ahead };
+            to.extend(photos);
+        }
+        Ok(())
+    }
+
+    fn find(&self, photo: usize, factor: u32) -> Option<&Rgb> {
+        self.kept.get(&(photo, factor)).or_else(|| self.ahead.get(&(photo, factor)))
+    }
+
+    fn reserve(&mut self, photo: usize) -> bool {
+        let bytes = |factor: &u32| self.size(photo, *factor).into_iter().map(u64::from).product::<u64>() * 3;
+        let left = self.left.checked_sub(self.factors.iter().map(bytes).sum());
+        self.left = left.unwrap_or(self.left);
+        left.is_some()
+    }
+
+    fn open(&self, i: usize, factors: &[u32]) -> Result<Vec<((usize, u32), Rgb)>> {
+        let photo = self.photos.open(i)?;
+        photo.validate()?;
+        let ([width, height], expected) = ([photo.width, photo.height], self.photos.size(i));
+        if [width, height] != expected {
+            let expected = format!("{} x {}, as before", expected[0], expected[1]);
+            return Err(Error::argument(format!("size of photo {i}"), format!("{width} x {height}"), expected));
+        }
+        let at = |factor: &u32| {
+            let [width, height] = self.size(i, *factor);
+            Ok(((i, *factor), Arc::new(resize_lanczos(photo.as_ref(), width, height)?.rgb)))
+        };
+        factors.iter().map(at).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    struct Counted(Vec<Image>, AtomicUsize);
+
+    impl Photos for Counted {
+        fn count(&self) -> usize {
+            self.0.len()
+        }
+
+        fn size(&self, i: usize) -> [u32; 2] {
+            self.0.size(i)
+        }
+
+        fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
+            self.1.fetch_add(1, Ordering::Relaxed);
+            self.0.open(i)
+        }
+    }
+
+    #[test]
+    fn photos_are_the_same_with_any_memory() {
+        let photo = |i: u8| Image::new(8, 4, (0..96u8).map(|k| k.wrapping_mul(i)).collect()).expect("a photo");
+        let photos = Counted((0..6).map(photo).collect(), AtomicUsize::new(0));
+        let used = |max_bytes: u64| {
+            let mut cache = PhotoCache::new(&photos, None, vec![2, 1], max_bytes);
+            photos.1.store(0, Ordering::Relaxed);
+            let mut found = Vec::new();
+            for (now, soon, factor) in
+                [([0, 1], [2, 3], 2), ([2, 3], [4, 5], 2), ([5, 5], [0, 1], 1), ([0, 1], [2, 3], 1)]
+            {
+                found.extend(cache.get(&now, &soon, factor).expect("photos"));
+                assert!(cache.ahead.len() <= 4 + rayon::current_num_threads());
+            }
+            (found, photos.1.load(Ordering::Relaxed))
+        };
+        let (all, opened) = used(u64::MAX);
+        assert_eq!((all[0].len(), all[4].len()), (3 * 4 * 2, 96));
+        assert_eq!(*all[4], photos.0[5].rgb);
+        assert!((5..=6).contains(&opened), "{opened}");
+        for max_bytes in [0, 120, 300] {
+            let (found, more) = used(max_bytes);
+            assert!(found == all && more > opened, "{max_bytes}: {more} of {opened}");
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! Photos that are opened when needed.
+
+use super::*;
+use std::borrow::Cow;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use zipsplat::refine::Photos;
+
+/// Photos with a number of times that they may be opened.
+struct Opened<'a>(&'a [Image], &'a AtomicUsize);
+
+impl Photos for Opened<'_> {
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn size(&self, i: usize) -> [u32; 2] {
+        self.0.size(i)
+    }
+
+    fn open(&self, i: usize) -> zipsplat::Result<Cow<'_, Image>> {
+        let left = self.1.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+        left.map_err(|_| zipsplat::Error::argument(format!("photo {i}"), "no file", "a file"))?;
+        Ok(Cow::Borrowed(&self.0[i]))
+    }
+}
+
+/// Refines for 20 steps, with one thread that opens photos; also returns the times left.
+fn refine_opened(photos: &[Image], times: usize, max_photo_bytes: u64) -> (RefineResult, usize) {
+    let cameras = cameras(photos.len());
+    let request = RefineOptions {
+        length: RefineLength::Steps(20),
+        holdout_views: Some(1),
+        views_per_step: 2,
+        max_photo_bytes,
+        ..RefineOptions::default()
+    };
+    let (left, arena, scene) = (AtomicUsize::new(times), Arena::new(device()), moved(&random_scene(80, 1, 0.3)));
+    let thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let never = |_: RefineProgress<'_>| ControlFlow::Continue(());
+    let opened = Opened(photos, &left);
+    let refined = thread.install(|| refine_scene(&arena, &scene, opened, &cameras, &request, never)).unwrap();
+    (refined, left.into_inner())
+}
+
+#[test]
+fn results_are_independent_of_the_memory_for_photos() {
+    let photos = photos(&cameras(6)).1;
+    let (kept, left) = refine_opened(&photos, 500, u64::MAX);
+    assert_eq!((kept.stop_reason, kept.losses.len(), left), (None, 20, 494));
+    // Three of six photos fit 20,000 bytes.
+    let mut before = left;
+    for max_photo_bytes in [20_000, 0] {
+        let (opened, left) = refine_opened(&photos, 500, max_photo_bytes);
+        assert!(opened.scene == kept.scene && opened.losses == kept.losses, "{max_photo_bytes}");
+        assert!(left < before, "{max_photo_bytes}: {left}");
+        before = left;
+    }
+}
+
+#[test]
+fn photos_that_vanish_end_the_refinement_with_the_best_scene() {
+    let photos = photos(&cameras(6)).1;
+    let (refined, _) = refine_opened(&photos, 12, 0);
+    assert!(matches!(&refined.stop_reason, Some(StopReason::Unreadable(why)) if why.contains("no file")));
+    let steps = refined.losses.len();
+    assert!((1..20).contains(&steps) && (1..=steps).contains(&refined.best_step), "{steps}, {}", refined.best_step);
+}
