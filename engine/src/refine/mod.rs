@@ -48,11 +48,11 @@ const GROWTH_FROM: usize = 50;
 /// Upper limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
 /// Limits of growth by default up to `FULL` steps: pixels of all photos per Gaussian, and its
-/// factor. From there to `DETAIL_UNTIL` steps Gaussians increase with the square root of the steps:
-/// fewer would stop improving.
+/// factor. From there to `DETAIL_UNTIL` steps, Gaussians increase with the square root of the steps:
+/// fewer would stop gaining detail.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;
 const MOST_GROWTH: f64 = 16.0;
-const DETAIL_UNTIL: usize = 1600;
+const DETAIL_UNTIL: usize = 400;
 /// Growth by a factor makes the mean step slower by this power of it, more Gaussians for more steps
 /// also by this power of their number.
 const GROWTH_COST: f64 = 0.42;
@@ -329,7 +329,7 @@ mod tests {
     fn growth_leaves_time_for_fewer_steps() {
         let grow = |steps: usize| (steps >= GROWTH_FROM).then_some(400);
         // Four times the Gaussians make a step 1.79 times slower.
-        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 432)] {
+        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 438)] {
             assert_eq!(steps_with_growth(steps, Some(100), grow), grown, "{steps}");
             assert_eq!(steps_with_growth(steps, None, |_| None), steps.max(1.0) as usize);
         }
@@ -340,8 +340,8 @@ mod tests {
         let grown =
             |steps: usize, len: usize| grown_len(&RefineOptions::default(), steps, len, [[320, 100]; 2].into_iter());
         assert_eq!(
-            [49, 50, 100, 400, 1600, 9999].map(|steps| grown(steps, 500)),
-            [None, Some(2000), Some(2000), Some(4000), Some(8000), Some(8000)]
+            [49, 50, 100, 225, 400, 9999].map(|steps| grown(steps, 500)),
+            [None, Some(2000), Some(2000), Some(3000), Some(4000), Some(4000)]
         );
         assert_eq!([100, 400].map(|steps| grown(steps, 10)), [Some(160), Some(320)]);
         assert_eq!([100, 400].map(|steps| grown(steps, 2000)), [None, Some(4000)]);

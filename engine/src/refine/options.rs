@@ -56,7 +56,7 @@ pub struct RefineOptions {
     /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
     /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of
     /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number; from 100 steps
-    /// on more, up to 4 times as many at 1,600.
+    /// on more, up to twice as many at 400.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
