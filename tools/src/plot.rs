@@ -81,8 +81,8 @@ pub fn sheet(plots: &[(&str, String)]) -> String {
         top += ROW + MARGIN + row.iter().filter_map(|(_, svg)| height(svg)).max().unwrap_or(0) as i32;
     }
     format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{top}\" font-family=\"sans-serif\" font-size=\"15\">\
-         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>{sheet}</svg>\n",
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{top}\" \
+         font-family=\"sans-serif\" font-size=\"15\"><rect width=\"100%\" height=\"100%\" fill=\"white\"/>{sheet}</svg>\n",
         2 * SIZE.0
     )
 }
