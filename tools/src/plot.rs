@@ -82,7 +82,7 @@ pub fn sheet(plots: &[(&str, String)]) -> String {
     }
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{top}\" \
-         font-family=\"sans-serif\" font-size=\"15\"><rect width=\"100%\" height=\"100%\" fill=\"white\"/>{sheet}</svg>\n",
+         font-family=\"sans-serif\" font-size=\"14\"><rect width=\"100%\" height=\"100%\" fill=\"white\"/>{sheet}</svg>\n",
         2 * SIZE.0
     )
 }
@@ -232,7 +232,7 @@ mod tests {
         let sheet = sheet(&[("first", low.clone()), ("second", high.clone()), ("third", low)]);
         assert_eq!(sheet.matches("<svg").count(), 4);
         // The second row begins below the highest plot of the first.
-        let places = ["x=\"0\" y=\"28\"", "x=\"440\" y=\"28\"", "x=\"0\" y=\"514\""];
+        let places = ["x=\"0\" y=\"28\"", "x=\"440\" y=\"28\"", "x=\"0\" y=\"454\""];
         assert!(places.iter().all(|place| sheet.contains(place)), "{sheet}");
     }
 

@@ -65,10 +65,7 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
             "Quality against the number of Gaussians (figure 1)",
             by(&best, GAUSSIANS, PSNR, CHOSEN, |p| (p.gaussians as f64, p.psnr)),
         ),
-        (
-            "Quality against the budget, for each number of photos (figure 8)",
-            by(&ours, GAUSSIANS, PSNR, PHOTOS, |p| (p.gaussians as f64, p.psnr)),
-        ),
+        ("Quality against the budget (figure 8)", by(&ours, GAUSSIANS, PSNR, PHOTOS, |p| (p.gaussians as f64, p.psnr))),
         ("How tokens are chosen (figure 10, left)", by(&best, SHARE, PSNR, CHOSEN, |p| (p.ratio, p.psnr))),
         (
             "Photos that a cluster spans (figure 10, right)",
