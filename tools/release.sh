@@ -11,7 +11,7 @@ mkdir -p "$out"
 out=$(cd "$out" && pwd)
 tools=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}/python/tools
 PATH=$tools/bin:$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
-glibc=2.28 most_megabytes=30
+glibc=2.28 most_megabytes=35
 
 die() { echo "release: $*" >&2; exit 1; }
 

@@ -169,6 +169,8 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     assert_eq!(csv.lines().count(), 1 + points.len());
     let html = folder.text("report/tradeoff.html");
     assert_eq!(html.matches("<svg").count(), 1 + 12 + 8);
+    assert!(html.contains(folder.text("report/tradeoff.svg").trim_start_matches("<!-- zipsplat -->\n")));
+    assert_eq!(folder.text("report/figures.svg").matches("<svg").count(), 1 + 6);
     assert_eq!(html.matches("class=\"panel\"").count(), points.len());
     let cards = html.matches("class=\"card\"").count();
     assert!((3..=5).contains(&cards), "{cards}");

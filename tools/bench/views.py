@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Compares numbers of photos, ratios and pooling (figures 11 to 13 of the paper).
+"""Compares numbers of photos, ratios and pooling (figures 11 and 12 of the paper).
 
 usage: views.py CAPTURE [options]
 
 Runs `zipsplat eval` for each number of input photos, ratio and pooling (`--pools`) on evenly spaced
 held-out photos. Prints PSNR, Gaussians, forward time, measured and planned peak memory as Markdown.
---png tiles the renders of one number of photos. Finished runs are read from --out.
+Finished runs are read from --out.
 """
 
 import argparse
@@ -27,8 +27,6 @@ def arguments():
     parser.add_argument("--size", default="84x84")
     parser.add_argument("--out", type=Path, default=Path("views"), help="folder for the runs")
     parser.add_argument("--options", default="", help="more options of eval and info, such as --weights")
-    parser.add_argument("--png", type=Path, help="file for the renders; needs Pillow")
-    parser.add_argument("--pictures", type=int, default=24, help="number of photos that --png shows")
     parser.add_argument("--cpu", action="store_true", help="count CPU time over cores, for a shared machine")
     return parser.parse_args()
 
@@ -52,20 +50,6 @@ def run(args, views, ratio, pool):
     return said
 
 
-def picture(args, ratios):
-    """Saves the held-out photos above their renders at each ratio."""
-    from PIL import Image
-
-    side, rows = int(args.size.split("x")[0]), []
-    for i, ratio in enumerate(ratios):
-        sheet = Image.open(place(args, args.pictures, ratio) / "comparison.png").convert("RGB")
-        rows += [sheet.crop((x, 0, x + side, sheet.height)) for x in ([0, side] if i == 0 else [side])]
-    out = Image.new("RGB", (side * len(rows), rows[0].height))
-    for i, row in enumerate(rows):
-        out.paste(row, (i * side, 0))
-    out.save(args.png)
-
-
 def main():
     args = arguments()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -81,8 +65,6 @@ def main():
             mib = [f"{said[name] / 2**20:.1f} MiB" for name in ("peak_bytes", "planned_bytes")]
             print(f"| {views} | {ratio} | {pool} | {said['tokens']:,} | {count:,} | {ply / 1e6:.1f} MB | {mean['psnr']:.2f} | {mean['ssim']:.3f} "
                   f"| {said['flops'] / 1e9:.0f} | {seconds:.1f} s | {mib[0]} | {mib[1]} |", flush=True)  # fmt: skip
-    if args.png:
-        picture(args, ratios)
 
 
 if __name__ == "__main__":

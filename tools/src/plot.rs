@@ -1,8 +1,12 @@
-use plotters::prelude::*;
-use std::{fmt::Write, ops::Range};
+use plotters::{coord::Shift, prelude::*};
+use std::{fmt::Write, iter, ops::Range};
 
-/// In pixels; browsers scale it.
+/// In pixels, without the legend; browsers scale it.
 const SIZE: (u32, u32) = (440, 330);
+const MARGIN: i32 = 8;
+/// Height of a row of the legend, and mean width of a letter.
+const ROW: i32 = 20;
+const LETTER: i32 = 7;
 /// Colors for any color vision (Okabe and Ito); their number limits the series.
 const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
@@ -42,7 +46,7 @@ pub struct Axis<'a> {
     pub scale: Scale,
 }
 
-/// Returns a plot with a legend titled `meaning`. Omits non-finite points and series past the
+/// Returns an SVG with a legend titled `meaning`. Omits non-finite points and series past the
 /// sixth, which the legend counts. `beneath` is a gray line without points.
 pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
     let shown = &series[..series.len().min(COLORS.len())];
@@ -52,23 +56,42 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     };
     let (points, line): (Vec<_>, _) = (shown.iter().map(placed).collect(), beneath.map(placed).unwrap_or_default());
     let range = |value: fn(&At) -> f64| extent(points.iter().chain([&line]).flatten().map(value));
+    let (legend, height) = legend(meaning, shown, series.len() - shown.len(), beneath);
     let mut svg = String::new();
-    let drawn = draw(&mut svg, (x, range(|at| at.x)), (y, range(|at| at.y)), shown, &points, &line);
-    drawn.expect("writing to a string does not fail");
-    // HTML needs no namespace.
-    let svg = svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "");
-    let numbers = points.iter().flatten().map(|at| at.of);
+    let root = SVGBackend::with_string(&mut svg, (SIZE.0, SIZE.1 + height)).into_drawing_area();
+    let (chart, below) = root.split_vertically(SIZE.1);
+    (root.fill(&WHITE).map_err(Into::into))
+        .and_then(|()| draw(&chart, (x, range(|at| at.x)), (y, range(|at| at.y)), shown, &points, &line))
+        .and_then(|()| draw_legend(&below, legend))
+        .and_then(|()| Ok(root.present()?))
+        .expect("writing to a string does not fail");
+    drop((root, chart, below));
+    numbered(&svg, points.iter().flatten().map(|at| at.of))
+}
+
+/// Returns an SVG with two plots a row, under their headings.
+pub fn sheet(plots: &[(&str, String)]) -> String {
+    let height = |svg: &str| svg.split('"').skip_while(|part| !part.ends_with("height=")).nth(1)?.parse::<u32>().ok();
+    let (mut sheet, mut top) = (String::new(), 0);
+    for row in plots.chunks(2) {
+        for ((heading, svg), left) in row.iter().zip([0, SIZE.0]) {
+            let _ = write!(sheet, "<text x=\"{}\" y=\"{}\" font-weight=\"bold\">{heading}</text>", left + 8, top + ROW);
+            sheet += &svg.replacen("<svg", &format!("<svg x=\"{left}\" y=\"{}\"", top + ROW + MARGIN), 1);
+        }
+        top += ROW + MARGIN + row.iter().filter_map(|(_, svg)| height(svg)).max().unwrap_or(0) as i32;
+    }
     format!(
-        "<div class=\"plot\">{}{}</div>",
-        numbered(&svg, numbers),
-        legend(meaning, shown, series.len() - shown.len(), beneath)
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{top}\" \
+         font-family=\"sans-serif\" font-size=\"14\"><rect width=\"100%\" height=\"100%\" fill=\"white\"/>{sheet}</svg>\n",
+        2 * SIZE.0
     )
 }
 
 fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
     let mut pieces = svg.split("<circle");
     let mut numbered = pieces.next().unwrap_or_default().to_owned();
-    for (piece, number) in pieces.zip(numbers) {
+    // Circles of the legend come last and have no number.
+    for (piece, number) in pieces.zip(numbers.chain(iter::repeat(None))) {
         numbered += "<circle";
         if let Some(number) = number {
             let _ = write!(numbered, " data-point=\"{number}\"");
@@ -78,29 +101,51 @@ fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
     numbered
 }
 
-fn legend(meaning: &str, shown: &[Series], skipped_passes: usize, beneath: Option<&Series>) -> String {
-    let row = |(name, RGBColor(r, g, b)): (&String, RGBColor)| {
-        format!("<li><i style=\"background:rgb({r},{g},{b})\"></i>{name}</li>")
-    };
-    let names = beneath.map(|line| (&line.name, GRAY)).into_iter();
-    let rows: String = names.chain(shown.iter().map(|series| &series.name).zip(COLORS)).map(row).collect();
-    let more = if skipped_passes > 0 { format!("<li>{skipped_passes} more: in the table</li>") } else { String::new() };
-    format!("<ul class=\"legend\"><li>{meaning}</li>{rows}{more}</ul>")
-}
-
+/// A name and its color, and its place in the legend.
+type Entry = (String, Option<RGBColor>, (i32, i32));
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
+/// Places the legend in rows, which the height follows.
+fn legend(meaning: &str, shown: &[Series], omitted: usize, beneath: Option<&Series>) -> (Vec<Entry>, u32) {
+    let names = iter::once((format!("{meaning}:"), None))
+        .chain(beneath.map(|line| (line.name.clone(), Some(GRAY))))
+        .chain(shown.iter().zip(COLORS).map(|(series, color)| (series.name.clone(), Some(color))))
+        .chain((omitted > 0).then(|| (format!("{omitted} more: in the table"), None)));
+    let (mut left, mut top) = (MARGIN, 0);
+    let place = |(name, color): (String, Option<RGBColor>)| {
+        let width = LETTER * name.chars().count() as i32 + if color.is_some() { 30 } else { 14 };
+        if left > MARGIN && left + width > SIZE.0 as i32 {
+            (left, top) = (MARGIN, top + ROW);
+        }
+        left += width;
+        (name, color, (left - width, top))
+    };
+    let entries: Vec<Entry> = names.map(place).collect();
+    (entries, (top + ROW + MARGIN) as u32)
+}
+
+fn draw_legend(area: &Area<'_>, entries: Vec<Entry>) -> Drawn {
+    for (name, color, (left, top)) in entries {
+        if let Some(color) = color {
+            area.draw(&Circle::new((left + 4, top + 8), 4, color.filled()))?;
+        }
+        let left = if color.is_some() { left + 14 } else { left };
+        area.draw(&Text::new(name, (left, top), ("sans-serif", 14)))?;
+    }
+    Ok(())
+}
+
 fn draw(
-    svg: &mut String,
+    root: &Area<'_>,
     (x, x_range): (Axis<'_>, Range<f64>),
     (y, y_range): (Axis<'_>, Range<f64>),
     series: &[Series],
     placed: &[Vec<At>],
     line: &[At],
 ) -> Drawn {
-    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let mut chart = ChartBuilder::on(&root)
-        .margin(8)
+    let mut chart = ChartBuilder::on(root)
+        .margin(MARGIN)
         .x_label_area_size(42)
         .y_label_area_size(54)
         .build_cartesian_2d(x_range, y_range)?;
@@ -126,7 +171,6 @@ fn draw(
     for (points, color) in placed.iter().zip(COLORS) {
         chart.draw_series(places(points).into_iter().map(|at| Circle::new(at, 4, color.filled())))?;
     }
-    root.present()?;
     Ok(())
 }
 
@@ -176,21 +220,32 @@ mod tests {
         let points = series("a", &[(1.0, 10.0), (0.0, 1.0), (f64::NAN, 1.0), (100.0, 1.0)]);
         let html = plot(LOG, Axis { label: "up", ..LOG }, "letters", &[points], None);
         assert!(html.contains("<svg") && html.contains("across") && html.contains("up"));
-        let circles: Vec<&str> = html.split("<circle").skip(1).map(|circle| &circle[..16]).collect();
-        assert_eq!(circles, [" data-point=\"0\" ", " data-point=\"30\""], "{html}");
+        let circles: Vec<&str> = html.split("<circle data-point=").skip(1).map(|circle| &circle[..4]).collect();
+        assert_eq!(circles, ["\"0\" ", "\"30\""], "{html}");
         assert!(plot(LOG, LOG, "nothing", &[], None).contains("<svg"));
+    }
+
+    #[test]
+    fn a_sheet_has_two_plots_a_row() {
+        let high: Vec<Series> = ('a'..='f').map(|name| series(&name.to_string().repeat(20), &[(1.0, 1.0)])).collect();
+        let [low, high] = [&[][..], &high].map(|series| plot(LOG, LOG, "letters", series, None));
+        let sheet = sheet(&[("first", low.clone()), ("second", high.clone()), ("third", low)]);
+        assert_eq!(sheet.matches("<svg").count(), 4);
+        // The second row begins below the highest plot of the first.
+        let places = ["x=\"0\" y=\"28\"", "x=\"440\" y=\"28\"", "x=\"0\" y=\"454\""];
+        assert!(places.iter().all(|place| sheet.contains(place)), "{sheet}");
     }
 
     #[test]
     fn at_most_six_series_have_a_color_each() {
         let all: Vec<Series> = ('a'..='h').map(|name| series(&name.to_string(), &[(1.0, 1.0)])).collect();
         let html = plot(LOG, LOG, "letters", &all, Some(&series("front", &[(1.0, 1.0), (2.0, 2.0)])));
-        assert_eq!(html.matches("<circle").count(), 6);
-        // Title, background line, six series, and the omitted count.
-        assert_eq!(html.matches("<li>").count(), 1 + 1 + 6 + 1);
+        // Points, and the legend's six series and line.
+        assert_eq!(html.matches("<circle").count(), 6 + 6 + 1);
+        assert_eq!(html.matches("<circle data-point").count(), 6);
         assert!(html.contains("2 more") && html.contains("front"), "{html}");
-        let mut colors: Vec<&str> =
-            html.split("background:").skip(1).filter_map(|piece| piece.split('"').next()).collect();
+        let circles = html.split("<circle").skip(1);
+        let mut colors: Vec<&str> = circles.filter_map(|circle| circle.split("fill=\"").nth(1)?.get(..7)).collect();
         colors.sort_unstable();
         colors.dedup();
         assert_eq!(colors.len(), 7);

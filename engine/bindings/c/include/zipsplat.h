@@ -84,7 +84,7 @@ extern "C" {
 #define ZS_VERSION_MAJOR 0
 
 // See ZS_VERSION_MAJOR.
-#define ZS_VERSION_MINOR 1
+#define ZS_VERSION_MINOR 2
 
 // See ZS_VERSION_MAJOR.
 #define ZS_VERSION_PATCH 0
@@ -95,7 +95,7 @@ extern "C" {
 // Returns the library's ABI version. If it is not ZS_ABI_VERSION, call nothing else.
 uint32_t zs_abi_version(void);
 
-// Returns the library's version, as "0.1.0".
+// Returns the library's version, as "0.2.0".
 const char *zs_version(void);
 
 /**************************************/

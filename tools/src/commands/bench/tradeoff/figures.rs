@@ -30,14 +30,14 @@ const RATIO: Meaning = ("share of tokens", |p| p.asked_ratio.clone());
 const PRECISION: Meaning = ("precision", Point::arithmetic);
 const KEPT: Meaning = ("Gaussians a token", |p| p.max_gaussians_per_token.to_string());
 const POOL: Meaning = ("side of pooled patches", |p| p.kv_pool.to_string());
-const STEPS: Meaning = ("steps of refinement", Point::refinement);
+const ORIGIN: Meaning = ("Gaussians of", Point::origin);
 
 type Numbered<'a> = (usize, &'a Point);
 
 pub fn pareto(points: &[Point]) -> String {
     let all: Vec<Numbered<'_>> = points.iter().enumerate().collect();
     let place = |p: &Point| (p.total_ms, p.psnr);
-    let meaning = if points.iter().any(Point::is_refined) { STEPS } else { PRECISION };
+    let meaning = if points.iter().any(Point::is_refined) { ORIGIN } else { PRECISION };
     let mut series = series(&all, meaning, place);
     series.iter_mut().for_each(|series| series.line = false);
     let at = |i: usize| At { x: points[i].total_ms, y: points[i].psnr, of: None };
@@ -65,10 +65,7 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
             "Quality against the number of Gaussians (figure 1)",
             by(&best, GAUSSIANS, PSNR, CHOSEN, |p| (p.gaussians as f64, p.psnr)),
         ),
-        (
-            "Quality against the budget, for each number of photos (figure 8)",
-            by(&ours, GAUSSIANS, PSNR, PHOTOS, |p| (p.gaussians as f64, p.psnr)),
-        ),
+        ("Quality against the budget (figure 8)", by(&ours, GAUSSIANS, PSNR, PHOTOS, |p| (p.gaussians as f64, p.psnr))),
         ("How tokens are chosen (figure 10, left)", by(&best, SHARE, PSNR, CHOSEN, |p| (p.ratio, p.psnr))),
         (
             "Photos that a cluster spans (figure 10, right)",

@@ -13,6 +13,7 @@ use crate::{
     capture::{Choice, ViewSplit},
     options::{Keep, PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
+    plot,
     refinement::{Initialization, RefineTask},
     session::Session,
     views::Seeing,
@@ -42,8 +43,9 @@ use zipsplat::{
   zipsplat bench tradeoff capture/ --views 8,16 --ratio 1,auto --dtype f16,q8 --refine 0 -o report/
   zipsplat bench tradeoff capture/ --views 16 --ratio 1,auto --precision fp16 --refine 0,10,25,50,100,50:tokens -o report/
 
-Writes tradeoff.html, a self-contained page, and tradeoff.csv. Ctrl-C ends the sweep and
-writes its results.
+Writes tradeoff.html, a self-contained page, its table tradeoff.csv, the front tradeoff.svg,
+and figures.svg with the paper's figures 1, 8, 10, 11 b and 12 b. Ctrl-C ends the sweep
+and writes its results.
 
 Reconstructions of at most 20 GFLOP are also computed in f64 on the CPU, with the tokens
 that the first precision selected. The table has the RMS error of each stage relative to
@@ -105,7 +107,7 @@ pub struct Tradeoff {
     /// Time limit of the sweep; the current point is finished
     #[arg(long, value_name = "N|all", default_value = "5")]
     minutes: Minutes,
-    /// Folder for tradeoff.html and tradeoff.csv
+    /// Folder for the page, the table and the plots
     #[arg(long, short, value_name = "FOLDER")]
     output: PathBuf,
     #[command(flatten)]
@@ -131,8 +133,9 @@ impl FromStr for Minutes {
 impl Tradeoff {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         outputs::check_folder(&self.output)?;
-        let [html, csv] = ["tradeoff.html", "tradeoff.csv"].map(|name| self.output.join(name));
-        self.overwrite.check_replaced([&html, &csv])?;
+        let [html, csv, svg, sheet] =
+            ["tradeoff.html", "tradeoff.csv", "tradeoff.svg", "figures.svg"].map(|name| self.output.join(name));
+        self.overwrite.check_replaced([&html, &csv, &svg, &sheet])?;
         let checkpoint = self.weights.open()?;
         let size = Size::or_best(self.input_size, &checkpoint);
         sweep::check(self, checkpoint.architecture(), size)?;
@@ -155,8 +158,15 @@ impl Tradeoff {
         let (sweep, cancelled) = sweep::run(self, session, &device, networks, &captures, &clouds)?;
 
         outputs::make_folder(&self.output)?;
-        let page = page::page(self, &device.limits().name, checkpoint.provenance(), &captures, &sweep)?;
+        let (pareto, mut figures) = (figures::pareto(&sweep.points), figures::figures(&sweep));
+        let (name, weights) = (&device.limits().name, checkpoint.provenance());
+        let page = page::page(self, name, weights, &captures, &sweep, &pareto, &figures)?;
+        // Without times, every run on a device writes the same sheet.
+        figures.retain(|(heading, _)| heading.contains("(figure") && !heading.ends_with(", a)"));
         write_atomic(&html, |out| out.write_all(page.as_bytes()))?;
+        for (path, svg) in [(&svg, pareto), (&sheet, plot::sheet(&figures))] {
+            write_atomic(path, |out| write!(out, "<!-- zipsplat -->\n{svg}"))?;
+        }
         outputs::save_csv(&csv, &sweep.points)?;
         let (measured, planned) = (sweep.points.len(), sweep.planned);
         if cancelled {
@@ -171,9 +181,10 @@ impl Tradeoff {
         }
         let front = point::front(&sweep.points).len();
         let text = format!(
-            "{}: {measured} points, {front} of them on the front of time and PSNR\n{}: the same as a table",
+            "{}: {measured} points, {front} of them on the front of time and PSNR\n{}: the same as a table\n{}: the front",
             html.display(),
-            csv.display()
+            csv.display(),
+            svg.display()
         );
         session.report(&sweep.points, text)
     }

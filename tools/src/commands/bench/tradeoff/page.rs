@@ -19,7 +19,15 @@ const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstruction
     precisions take the tokens that the first one chose, so that these are errors of arithmetic and not other choices of near ties. \
     Pictures are drawn by the device from its own Gaussians and from those of f64.";
 
-pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[ViewSplit], sweep: &Sweep) -> Result<String> {
+pub fn page(
+    args: &Tradeoff,
+    device: &str,
+    weights: &str,
+    captures: &[ViewSplit],
+    sweep: &Sweep,
+    pareto: &str,
+    figures: &[(&str, String)],
+) -> Result<String> {
     let points = &sweep.points;
     let pictures: Vec<String> =
         sweep.pictures.iter().map(|picture| html::picture(picture, PICTURE)).collect::<Result<_>>()?;
@@ -44,12 +52,12 @@ pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[ViewSplit]
     }
     html += "</div><p class=\"note\"><b>best</b> is the most accurate point. <b>fast</b> is the fastest that has half of what the front has \
              to win in dB. <b>balanced</b> lies between them, farthest above the line that joins them.</p>";
-    html += &figure("Every point, and the front that no other beats in both", &figures::pareto(points));
+    html += &figure("Every point, and the front that no other beats in both", pareto);
     html += "<p class=\"note\">Point at a place in a plot or a row of a table, or touch it: its picture and its command are shown.</p>";
     html += "<h2>The front</h2>";
     html += &table(points, front(points).into_iter(), &[]);
     html += "<h2>One setting at a time</h2><div class=\"figures\">";
-    html += &figures::figures(sweep).iter().map(|(heading, plot)| figure(heading, plot)).collect::<String>();
+    html += &figures.iter().map(|(heading, plot)| figure(heading, plot)).collect::<String>();
     html += "</div>";
     let deviations = figures::deviations(points);
     if !deviations.is_empty() {

@@ -77,6 +77,15 @@ impl Point {
         }
     }
 
+    pub fn origin(&self) -> String {
+        let source = match self.init.as_str() {
+            "points" => "points",
+            "both" => "network and points",
+            _ => "network",
+        };
+        if self.is_refined() { format!("{source}, refined") } else { source.into() }
+    }
+
     pub fn is_refined(&self) -> bool {
         self.refine != "0"
     }
