@@ -74,7 +74,7 @@ pub use depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction};
 pub use gpu::{Device, DeviceInfo, DeviceOptions, Progress, list_devices};
 pub use ops::Precision;
 pub use reconstruct::{Model, ModelOptions, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection};
-pub use refine::{RefineLength, RefineOptions, RefineResult, refine_scene};
+pub use refine::{Photos, RefineLength, RefineOptions, RefineResult, refine_scene};
 pub use stages::render::{Depth, RenderOptions, RenderOutput, Renderer};
 pub use types::{Camera, Image, Intrinsics, Pose, SaveOptions, Scene, poses::Capture};
 pub use zipsplat_error::{Error, Result};
