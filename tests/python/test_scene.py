@@ -64,7 +64,7 @@ def test_edits_apply_in_order_and_count(scene: zipsplat.Scene) -> None:
     expected = np.concatenate([scene.means[kept] * 2] * 2)
     assert np.allclose(np.sort(edited.means, axis=0), np.sort(expected, axis=0))
     assert len(scene.edit([("decimate", 0.5)])) == round(len(scene) / 2)
-    camera = zipsplat.Camera.from_hfov_deg(64, 48, hfov_deg=40)
+    camera = zipsplat.Camera.from_fov(64, 48, 40)
     assert len(scene.edit([("min_views", 1)], cameras=[camera])) < len(scene)
     for edits, words in [
         (["vanish"], "vanish"),

@@ -186,7 +186,7 @@ fn decimation_merges_to_the_count_and_repeats_bit_for_bit() {
 
 #[test]
 fn clean_drops_floaters_and_keeps_the_rest() {
-    let mut scene = random_scene(2000, 0, 0.5);
+    let mut scene = random_scene(2000, 0, 0.3);
     scene.opacities.fill(0.5);
     let [faint, large, alone, behind, beside] = [3, 5, 8, 11, 14];
     scene.opacities[faint] = 0.019;

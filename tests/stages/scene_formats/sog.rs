@@ -49,7 +49,7 @@ fn ordered(truth: &Scene, found: &Scene) -> Scene {
 
 /// Half a step of the grids; of a codebook of `n` or more distinct values, half the widest cell.
 #[track_caller]
-fn assert_sog(found: &Scene, truth: &Scene, [scale, color, rest]: [f32; 3]) {
+fn assert_sog(found: &Scene, truth: &Scene, [scale, color, rest, opacity]: [f32; 4]) {
     let truth = ordered(truth, found);
     let log = |x: f32| x.signum() * x.abs().ln_1p();
     let logs = |scene: &Scene| scene.means.as_flattened().iter().map(|x| log(*x)).collect::<Vec<_>>();
@@ -57,7 +57,7 @@ fn assert_sog(found: &Scene, truth: &Scene, [scale, color, rest]: [f32; 3]) {
     assert_within("log mean", &logs(found), &logs(&truth), |_| 2.0 * reach * 0.51 / 65535.0 + 1e-6);
     let ln = |scene: &Scene| scene.scales.as_flattened().iter().map(|scale| scale.max(1e-9).ln()).collect::<Vec<_>>();
     assert_within("log scale", &ln(found), &ln(&truth), |_| scale);
-    assert_within("opacity", &found.opacities, &truth.opacities, |_| 1.001 / 510.0);
+    assert_within("opacity", &found.opacities, &truth.opacities, |_| opacity);
     assert_within("color", &coefficient(found, 0), &coefficient(&truth, 0), |_| color);
     assert_rotations(&found.quats, &truth.quats, 0.02);
     for k in 1..truth.sh_coeffs_per_gaussian() {
@@ -74,7 +74,7 @@ fn sog_keeps_what_its_grids_and_codebooks_resolve() {
         let found = Scene::decode(&bytes, Some(SceneFormat::Sog)).unwrap();
         assert_eq!((found.len(), found.sh_degree), (400, degree));
         // Ranges of 3, 3.4 and 0.6. Few of 256 cells are wider than 1/64 of them.
-        assert_sog(&found, &truth, [3.0 / 64.0, 3.4 / 64.0, 0.6 / 64.0]);
+        assert_sog(&found, &truth, [3.0 / 64.0, 3.4 / 64.0, 0.6 / 64.0, 1.001 / 510.0]);
         assert!(encoded(&truth) == bytes);
     }
 }
@@ -106,7 +106,7 @@ fn larger_scenes_share_a_palette() {
     assert!(found.sh_coeffs.chunks_exact(4).all(|coeffs| coeffs[1..] == [[0.25; 3]; 3]));
 }
 
-/// Its codebooks leave out invisible Gaussians, and 4 palette entries serve all.
+/// It truncates opacities, and its codebooks leave out invisible Gaussians.
 #[test]
 fn files_of_splat_transform_are_read() {
     let [found, truth] = ["scenes/scene.sog", "gaussians_deg2.ply"].map(|name| golden::find(name).unwrap());
@@ -116,7 +116,7 @@ fn files_of_splat_transform_are_read() {
         scene.keep(&(0..7).filter(|i| scene.opacities[*i] > 0.01).collect::<Vec<_>>());
         assert_eq!(scene.len(), 5);
     }
-    assert_sog(&found, &truth, [0.12, 0.03, 2.0]);
+    assert_sog(&found, &truth, [0.12, 0.03, 2.0, 1.001 / 255.0]);
 }
 
 /// Skipped without npm or its registry.

@@ -63,7 +63,7 @@ const HELP: [&str; 14] = [
     "Drop Gaussians with a larger standard deviation",
     "Drop Gaussians with fewer than N others within RADIUS",
     "Drop Gaussians whose center is in the pictures of fewer than N cameras, occluded or not",
-    "Drop floaters: opacity below 0.02, no other center within 5 times the size, far outside the \
+    "Drop floaters: opacity below 0.02, no other center within 8 times the size, far outside the \
      pictures of --cameras",
     "Lower the degree of spherical harmonics",
     "Merge similar neighbors until N Gaussians, or a fraction, are left",
@@ -140,7 +140,7 @@ impl Edit {
             table.row([report.edit.into(), report.effect, before, after]);
         }
         let text = format!("{}: {}, {}", self.output.display(), counted(edited.len(), "Gaussian"), bytes(written));
-        session.report(&json, format!("{text}\n{table}"))
+        session.report(&json, if edits.is_empty() { text } else { format!("{text}\n{table}") })
     }
 
     /// Reads the scenes. Their world is kept if all have the same.

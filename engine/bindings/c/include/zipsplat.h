@@ -545,7 +545,7 @@ ZS_ENUM(zs_edit_kind) {
     ZS_EDIT_MIN_NEIGHBORS = 8,
     // Drops Gaussians whose center few cameras' pictures contain: least number of cameras.
     ZS_EDIT_MIN_VIEWS = 9,
-    // Drops floaters: opacities below 0.02; Gaussians without another center within 5 times their
+    // Drops floaters: opacities below 0.02; Gaussians without another center within 8 times their
     // largest standard deviation; with cameras also centers outside all their pictures, doubled in
     // width and height.
     ZS_EDIT_CLEAN = 10,

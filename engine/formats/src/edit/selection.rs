@@ -61,7 +61,7 @@ pub(super) fn views(scene: &mut Scene, cameras: &[Camera], count: usize) -> Stri
 /// On refined captures these defaults keep held-out PSNR. A limit of size would drop background.
 const CLEAN_OPACITY: f64 = 0.02;
 /// Relative to a Gaussian's largest standard deviation, which suits near and far ones.
-const CLEAN_RADIUS: f64 = 5.0;
+const CLEAN_RADIUS: f64 = 8.0;
 
 pub(super) fn clean(scene: &mut Scene, cameras: &[Camera]) -> String {
     let mut effects = vec![opacity(scene, CLEAN_OPACITY)];
