@@ -168,6 +168,24 @@ fn merged_gaussians_have_the_mean_and_covariance_of_their_pair() {
 }
 
 #[test]
+fn decimation_merges_near_gaussians_of_one_color() {
+    let scene = Scene {
+        means: [9.0, 1.0, 0.0, -1.0].map(|x| [x, 0.0, 3.0]).to_vec(),
+        scales: vec![[0.5; 3]; 4],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+        opacities: vec![0.4; 4],
+        sh_coeffs: vec![[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+        sh_degree: 0,
+    };
+    let found = edited(&scene, &[edit("decimate", &[3.0])]);
+    assert_eq!(found.means, [9.0, 1.0, -0.5].map(|x| [x, 0.0, 3.0]));
+    assert_eq!(found.sh_coeffs, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]);
+    let invalid = Scene { opacities: vec![2.0; 4], ..scene };
+    let error = invalid.edit(&[edit("min-opacity", &[0.1])], &[]).expect_err("invalid").to_string();
+    assert!(error.contains("scene opacities"), "{error}");
+}
+
+#[test]
 fn decimation_merges_to_the_count_and_repeats_bit_for_bit() {
     let scene = random_scene(1000, 1, 0.2);
     for (number, count) in [(1000.0, 1000), (999.0, 999), (0.25, 250), (7.0, 7), (5000.0, 1000)] {

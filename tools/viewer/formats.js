@@ -1,4 +1,4 @@
-// Scene readers: PLY of 3D Gaussian splatting, SPZ 2 and 3, SOG, .splat, glTF with
+// Scene readers: PLY of 3D Gaussian splatting, SPZ 2 to 4, SOG, .splat, glTF with
 // KHR_gaussian_splatting.
 //
 // A scene has `count` Gaussians in the engine's axes: means [N, 3], scales [N, 3] linear, quats [N,
@@ -108,13 +108,31 @@ async function unpacked(bytes, method, format) {
     }
 }
 
+// Header and attributes of version 4, whose streams are zstd frames, as in version 3.
+function readSpz4(bytes) {
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), parts = [bytes.subarray(0, 16)];
+    try {
+        const table = view.getUint32(16, true);
+        for (let i = 0, at = table + 16 * bytes[15]; i < bytes[15]; ++i) {
+            const [packed, plain] = [0, 8].map(half => Number(view.getBigUint64(table + 16 * i + half, true)));
+            if (plain) parts.push(unzstd(bytes.subarray(at, at + packed), plain));
+            at += packed;
+        }
+    } catch {
+        throw new Error("The SPZ is damaged or cut off: it cannot be unpacked.");
+    }
+    const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+    parts.reduce((at, part) => (whole.set(part, at), at + part.length), 0);
+    return whole;
+}
+
 async function readSpz(packed, progress) {
-    const bytes = await unpacked(packed, "gzip", "SPZ");
+    const bytes = packed[0] === 0x1f ? await unpacked(packed, "gzip", "SPZ") : readSpz4(packed);
     progress(0.3);
     const view = new DataView(bytes.buffer);
     if (bytes.length < 16 || view.getUint32(0, true) !== 0x5053474e) throw new Error("The file is packed with gzip and holds no SPZ.");
     const version = view.getUint32(4, true), count = view.getUint32(8, true), degree = bytes[12], one = 2 ** bytes[13];
-    if (version !== 2 && version !== 3) throw new Error(`The SPZ is of version ${version}: this page reads 2 and 3.`);
+    if (![2, 3, 4].includes(version)) throw new Error(`The SPZ is of version ${version}: this page reads 2 to 4.`);
     if (degree > 3) throw new Error(`The SPZ has spherical harmonics of degree ${degree}: this page reads 0 to 3.`);
     const rotationBytes = version === 2 ? 3 : 4, rest = 3 * ((degree + 1) ** 2 - 1);
     let end = 16;
@@ -321,8 +339,7 @@ async function readScene(bytes, name, progress) {
     const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
     if (!bytes.length) throw new Error("The file is empty.");
     if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress);
-    if (bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
-    if (starts("NGSP")) throw new Error("The SPZ is of version 4: this page reads 2 and 3, which zipsplat convert writes.");
+    if (starts("NGSP") || bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
     if (starts("PK")) return readSog(bytes, progress);
     if (starts("glTF") || /\.gltf$/i.test(name)) return readGltf(bytes, progress);
     if (/\.splat$/i.test(name)) return readSplat(bytes, progress);
