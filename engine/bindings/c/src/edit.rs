@@ -114,7 +114,8 @@ pub unsafe extern "C" fn zs_scene_edit(
                 unsafe { gaussian_counts.add(i).write(report.after) };
             }
         }
-        let is_kept = scenes.iter().all(|scene| scene.world == first.world) && !edits.iter().any(Edit::moves);
+        let origin = |scene: &zs_scene| scene.world.as_ref().map(|world| world.origin.clone());
+        let is_kept = scenes.iter().all(|scene| origin(scene) == origin(first)) && !edits.iter().any(Edit::moves);
         let dropped = scenes.iter().map(|scene| scene.dropped).sum();
         Ok(zs_scene { world: first.world.clone().filter(|_| is_kept), dropped, ..edited.into() })
     };
