@@ -12,11 +12,11 @@ use rayon::prelude::*;
 use super::selection::{center, tree};
 use crate::{Scene, quaternion_from_matrix};
 
-const NEIGHBORS: usize = 8;
+const NEIGHBORS: usize = 16;
 /// Fraction of the Gaussians merged in a round.
 const ROUND: f64 = 0.2;
 /// Weight of a squared distance of coefficients of degree 0.
-const COLOR: f64 = 1.0;
+const COLOR: f64 = 0.4;
 /// Least standard deviation relative to the largest of a Gaussian.
 const FLATTEST: f64 = 1e-3;
 
