@@ -3,7 +3,7 @@
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
 
-const SOURCES: [&str; 16] = [
+const SOURCES: [&str; 17] = [
     "version",
     "status",
     "progress",
@@ -12,6 +12,7 @@ const SOURCES: [&str; 16] = [
     "image",
     "capture",
     "scene",
+    "edit",
     "model",
     "reconstruction",
     "reconstruct",

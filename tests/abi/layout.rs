@@ -33,6 +33,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_scene_open_options { struct_size, drop_invalid, format }
         zs_scene_info { struct_size, world, gaussian_count, dropped_count }
         zs_scene_save_options { struct_size, spz_version }
+        zs_edit { struct_size, kind, numbers }
         zs_model_options { struct_size, precision, variant, progress, user_data, tokens, reserved }
         zs_model_info {
             struct_size, image_size, patch_size, gaussians_per_token, sh_degree, precision, weight_bytes, warnings
@@ -90,6 +91,11 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_token_selection { ZS_TOKEN_SELECTION_KMEANS, ZS_TOKEN_SELECTION_STRIDE, ZS_TOKEN_SELECTION_RANDOM }
         zs_world { ZS_WORLD_AUTO, ZS_WORLD_FIRST_CAMERA, ZS_WORLD_INPUT_CAMERAS }
+        zs_edit_kind {
+            ZS_EDIT_CROP_BOX, ZS_EDIT_CROP_SPHERE, ZS_EDIT_TRANSLATE, ZS_EDIT_ROTATE, ZS_EDIT_SCALE, ZS_EDIT_LEVEL,
+            ZS_EDIT_MIN_OPACITY, ZS_EDIT_MAX_SIZE, ZS_EDIT_MIN_NEIGHBORS, ZS_EDIT_MIN_VIEWS, ZS_EDIT_CLEAN,
+            ZS_EDIT_SH_DEGREE, ZS_EDIT_DECIMATE, ZS_EDIT_SORT
+        }
         zs_camera_source { ZS_CAMERA_SOURCE_DECODER, ZS_CAMERA_SOURCE_RAYS }
         zs_refine_target { ZS_REFINE_TARGET_GAUSSIANS, ZS_REFINE_TARGET_TOKENS }
         zs_stop_reason { ZS_STOP_REASON_FINISHED, ZS_STOP_REASON_STOPPED, ZS_STOP_REASON_DIVERGED }

@@ -12,6 +12,7 @@ mod captures;
 mod compile;
 mod cycles;
 mod depth;
+mod edit;
 mod examples;
 mod gradients;
 mod header;

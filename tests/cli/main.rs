@@ -7,6 +7,7 @@ mod colmap_ends;
 mod compare;
 mod convert;
 mod depth;
+mod edit;
 mod errors;
 mod eval;
 mod external_scene;

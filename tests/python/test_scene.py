@@ -57,6 +57,25 @@ def test_scenes_are_copied_and_pickled_with_every_bit(scene: zipsplat.Scene) -> 
     assert same(copy.deepcopy(scene), scene)
 
 
+def test_edits_apply_in_order_and_count(scene: zipsplat.Scene) -> None:
+    edited = scene.edit([("scale", 2), ("min_opacity", float(np.median(scene.opacities))), "sort"], merge=[scene])
+    kept = scene.opacities >= np.float32(np.median(scene.opacities))
+    assert edited.edit_counts == [2 * len(scene), 2 * kept.sum(), 2 * kept.sum()] and len(edited) == 2 * kept.sum()
+    expected = np.concatenate([scene.means[kept] * 2] * 2)
+    assert np.allclose(np.sort(edited.means, axis=0), np.sort(expected, axis=0))
+    assert len(scene.edit([("decimate", 0.5)])) == round(len(scene) / 2)
+    camera = zipsplat.Camera.from_fov(64, 48, 40)
+    assert len(scene.edit([("min_views", 1)], cameras=[camera])) < len(scene)
+    for edits, words in [
+        (["vanish"], "vanish"),
+        ([("crop_sphere", (0, 0, 1))], "crop-sphere"),
+        ([("translate", range(7))], "7 numbers"),
+        (["level"], "no cameras"),
+    ]:
+        with pytest.raises(zipsplat.ArgumentError, match=words):
+            scene.edit(edits)
+
+
 def test_gsplat_and_torch_parameters_are_copies(scene: zipsplat.Scene) -> None:
     torch = pytest.importorskip("torch")
     params = scene.to_gsplat()

@@ -10,6 +10,7 @@ mod depth_reference;
 mod depth_scene;
 mod depth_units;
 mod depth_weights;
+mod edit;
 mod flops;
 mod forward;
 mod gradients;

@@ -10,7 +10,7 @@ const COUNT = 3000;
 before(() => {
     writeFileSync(at("random.ply"), randomPly(COUNT));
     zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place", "--splats");
-    for (const [name, ...options] of [["two.spz", "--spz-version", "2"], ["three.spz"], ["four.spz", "--spz-version", "4"], ["one.splat"], ["one.glb"], ["one.gltf"]])
+    for (const [name, ...options] of [["two.spz", "--spz-version", "2"], ["three.spz"], ["four.spz", "--spz-version", "4"], ["one.sog"], ["one.splat"], ["one.glb"], ["one.gltf"]])
         zipsplat("convert", "random.ply", name, ...options);
 });
 
@@ -42,7 +42,7 @@ test("a packed page draws what render draws of the SPZ", async () => {
 
 test("files of each format can be dropped", async () => {
     const tab = await written(["random.ply"]);
-    for (const file of ["random.ply", "two.spz", "three.spz", "one.splat", "one.glb", "one.gltf"]) {
+    for (const file of ["random.ply", "two.spz", "three.spz", "four.spz", "one.sog", "one.splat", "one.glb", "one.gltf"]) {
         await tab.drop(file, readFileSync(at(file)));
         await tab.settled();
         assert.deepEqual(await tab.run(() => [zipsplat.scene.name, zipsplat.scene.count]), [file, COUNT]);
@@ -60,9 +60,10 @@ test("a broken file gives clear words and leaves the others", async () => {
         ["head.ply", ply.subarray(0, 100), /header has no end/],
         ["points.ply", readFileSync(at("place/points.ply")), /no f_dc_0.*no 3D Gaussians/],
         ["cut.spz", spz.subarray(0, 1000), /damaged or cut off/],
-        ["four.spz", readFileSync(at("four.spz")), /version 4.*convert/],
+        ["cut4.spz", readFileSync(at("four.spz")).subarray(0, 20_000), /damaged or cut off/],
+        ["cut.sog", readFileSync(at("one.sog")).subarray(0, 20_000), /no ZIP archive/],
         ["cut.splat", Buffer.alloc(33), /33 bytes are no multiple of 32/],
-        ["words.txt", Buffer.from("no scene"), /no scene: this page reads PLY, SPZ, .splat and glTF/],
+        ["words.txt", Buffer.from("no scene"), /no scene: this page reads PLY, SPZ, SOG, .splat and glTF/],
         ["empty.ply", Buffer.alloc(0), /empty/],
     ]) {
         await tab.drop(name, bytes);

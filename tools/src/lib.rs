@@ -72,7 +72,7 @@ struct Cli {
 
 const SHORTEST_CLAUSE: usize = 16;
 /// Options in `-h`, besides positional arguments and the options of every command.
-const SHORT_HELP: [(&str, &[&str]); 9] = [
+const SHORT_HELP: [(&str, &[&str]); 10] = [
     (
         "reconstruct",
         &["output", "weights", "cameras", "ratio", "refine", "init", "views", "precision", "each", "dry_run"],
@@ -80,6 +80,10 @@ const SHORT_HELP: [(&str, &[&str]); 9] = [
     (
         "refine",
         &["output", "cameras", "init", "steps", "max_image_size", "max_gaussians", "optimize_cameras", "holdout_views"],
+    ),
+    (
+        "edit",
+        &["output", "cameras", "clean", "crop-box", "crop-sphere", "min-opacity", "min-views", "decimate", "sh-degree"],
     ),
     ("cameras", &["output", "method", "weights", "views", "matching", "colmap_model"]),
     ("depth", &["output", "weights", "cameras", "views", "input_size", "metric"]),

@@ -21,10 +21,11 @@ pub const LOG_START: &str = "zipsplat: what COLMAP said";
 /// Bytes searched at each end of a file.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with their author marks. `.splat` has none.
-const MARKS: [(&[u8], &[u8]); 21] = [
+const MARKS: [(&[u8], &[u8]); 22] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
     (b"\x1f\x8b", b"zipsplat"),
+    (b"PK\x03\x04", b"\"generator\":\"zipsplat"),
     (b"glTF", b"\"generator\":\"zipsplat "),
     (b"{", b"\"generator\":\"zipsplat "),
     (b"{", b"\"generator\": \"zipsplat\""),

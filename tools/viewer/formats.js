@@ -1,4 +1,4 @@
-// Scene readers: PLY of 3D Gaussian splatting, SPZ 2 and 3, .splat, glTF with
+// Scene readers: PLY of 3D Gaussian splatting, SPZ 2 to 4, SOG, .splat, glTF with
 // KHR_gaussian_splatting.
 //
 // A scene has `count` Gaussians in the engine's axes: means [N, 3], scales [N, 3] linear, quats [N,
@@ -100,21 +100,39 @@ function aboutX(k) {
     return negative !== ((l + order) % 2 === 1) ? -1 : 1;
 }
 
-async function gunzip(bytes) {
+async function unpacked(bytes, method, format) {
     try {
-        return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer());
+        return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream(method))).arrayBuffer());
     } catch {
-        throw new Error("The SPZ is damaged or cut off: it cannot be unpacked.");
+        throw new Error(`The ${format} is damaged or cut off: it cannot be unpacked.`);
     }
 }
 
+// Header and attributes of version 4, whose streams are zstd frames, as in version 3.
+function readSpz4(bytes) {
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), parts = [bytes.subarray(0, 16)];
+    try {
+        const table = view.getUint32(16, true);
+        for (let i = 0, at = table + 16 * bytes[15]; i < bytes[15]; ++i) {
+            const [packed, plain] = [0, 8].map(half => Number(view.getBigUint64(table + 16 * i + half, true)));
+            if (plain) parts.push(unzstd(bytes.subarray(at, at + packed), plain));
+            at += packed;
+        }
+    } catch {
+        throw new Error("The SPZ is damaged or cut off: it cannot be unpacked.");
+    }
+    const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+    parts.reduce((at, part) => (whole.set(part, at), at + part.length), 0);
+    return whole;
+}
+
 async function readSpz(packed, progress) {
-    const bytes = await gunzip(packed);
+    const bytes = packed[0] === 0x1f ? await unpacked(packed, "gzip", "SPZ") : readSpz4(packed);
     progress(0.3);
     const view = new DataView(bytes.buffer);
     if (bytes.length < 16 || view.getUint32(0, true) !== 0x5053474e) throw new Error("The file is packed with gzip and holds no SPZ.");
     const version = view.getUint32(4, true), count = view.getUint32(8, true), degree = bytes[12], one = 2 ** bytes[13];
-    if (version !== 2 && version !== 3) throw new Error(`The SPZ is of version ${version}: this page reads 2 and 3.`);
+    if (![2, 3, 4].includes(version)) throw new Error(`The SPZ is of version ${version}: this page reads 2 to 4.`);
     if (degree > 3) throw new Error(`The SPZ has spherical harmonics of degree ${degree}: this page reads 0 to 3.`);
     const rotationBytes = version === 2 ? 3 : 4, rest = 3 * ((degree + 1) ** 2 - 1);
     let end = 16;
@@ -165,6 +183,77 @@ function readSplat(bytes, progress) {
         scene.opacities[i] = bytes[32 * i + 27] / 255;
         for (let j = 0; j < 4; ++j) scene.quats[4 * i + j] = (bytes[32 * i + 28 + j] - 128) / 128;
         if (i % 65536 === 0) progress(i / count);
+    }
+    return scene;
+}
+
+// Files of a ZIP archive by name.
+async function unzipped(bytes) {
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), files = new Map();
+    let end = bytes.length - 22;
+    while (end >= 0 && view.getUint32(end, true) !== 0x06054b50) --end;
+    if (end < 0) throw new Error("The SOG is damaged or cut off: it is no ZIP archive.");
+    for (let at = view.getUint32(end + 16, true), left = view.getUint16(end + 10, true); left > 0; --left) {
+        const start = view.getUint32(at + 42, true), [name, extra, comment] = [28, 30, 32].map(field => view.getUint16(at + field, true));
+        const content = start + 30 + view.getUint16(start + 26, true) + view.getUint16(start + 28, true);
+        const packed = bytes.subarray(content, content + view.getUint32(at + 20, true));
+        const file = view.getUint16(at + 10, true) ? await unpacked(packed, "deflate-raw", "SOG") : packed;
+        files.set(new TextDecoder().decode(bytes.subarray(at + 46, at + 46 + name)), file);
+        at += 46 + name + extra + comment;
+    }
+    return files;
+}
+
+// RGBA of a picture, by WebGL: a 2D canvas multiplies colors by alpha.
+async function texels(bytes) {
+    const picture = await createImageBitmap(new Blob([bytes]), { premultiplyAlpha: "none", colorSpaceConversion: "none" });
+    const { width, height } = picture, gl = new OffscreenCanvas(1, 1).getContext("webgl2"), texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, picture);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, gl.createFramebuffer());
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    const rgba = new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
+    gl.getExtension("WEBGL_lose_context")?.loseContext();
+    return rgba;
+}
+
+// SOG version 2: codes and pixels, a pixel per Gaussian. `decoded` reads RGBA of a picture.
+async function readSog(bytes, progress, decoded = texels) {
+    const files = await unzipped(bytes);
+    const file = name => files.get(name) ?? (() => { throw new Error(`The SOG has no ${name}.`); })();
+    const meta = JSON.parse(new TextDecoder().decode(file("meta.json")));
+    if (meta.version !== 2) throw new Error(`The SOG is of version ${meta.version}: this page reads 2.`);
+    const { count, means, scales, quats, sh0, shN } = meta, degree = shN?.bands ?? 0;
+    const picture = async (name, pixels) => {
+        const rgba = await decoded(file(name));
+        if (rgba.length < 4 * pixels) throw new Error(`The SOG is cut off: ${name} has ${rgba.length / 4} pixels, expected ${pixels}.`);
+        return rgba;
+    };
+    const of = async names => Promise.all(names.map(name => picture(name, count)));
+    const [low, high, sizes, turns, colors] = await of([...means.files, ...scales.files, ...quats.files, ...sh0.files]);
+    progress(0.5);
+    const scene = emptyScene(count, degree);
+    for (let i = 0; i < count; ++i) {
+        const quat = [0, 1, 2].map(j => (turns[4 * i + j] / 127.5 - 1) * Math.SQRT1_2);
+        quat.splice(turns[4 * i + 3] - 252, 0, Math.sqrt(Math.max(0, 1 - quat.reduce((sum, q) => sum + q * q, 0))));
+        scene.quats.set(quat, 4 * i);
+        for (let j = 0; j < 3; ++j) {
+            const place = (low[4 * i + j] + 256 * high[4 * i + j]) / 65535;
+            const log = means.mins[j] + (means.maxs[j] - means.mins[j]) * place;
+            scene.means[3 * i + j] = Math.sign(log) * Math.expm1(Math.abs(log));
+            scene.scales[3 * i + j] = Math.exp(scales.codebook[sizes[4 * i + j]]);
+            scene.colors[3 * i + j] = 0.5 + SH_0 * sh0.codebook[colors[4 * i + j]];
+        }
+        scene.opacities[i] = colors[4 * i + 3] / 255;
+    }
+    if (degree === 0) return scene;
+    const width = (degree + 1) ** 2 - 1, codes = shN.codebook.map(half), labels = await picture(shN.files[1], count);
+    const entries = await picture(shN.files[0], shN.count * width);
+    for (let i = 0; i < count; ++i) {
+        const entry = labels[4 * i] + 256 * labels[4 * i + 1];
+        for (let j = 0; j < 3 * width; ++j) scene.rest[3 * width * i + j] = codes[entries[4 * (entry * width + Math.floor(j / 3)) + j % 3]];
+        if (i % 65536 === 0) progress(0.5 + 0.5 * i / count);
     }
     return scene;
 }
@@ -250,9 +339,9 @@ async function readScene(bytes, name, progress) {
     const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
     if (!bytes.length) throw new Error("The file is empty.");
     if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress);
-    if (bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
-    if (starts("NGSP")) throw new Error("The SPZ is of version 4: this page reads 2 and 3, which zipsplat convert writes.");
+    if (starts("NGSP") || bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
+    if (starts("PK")) return readSog(bytes, progress);
     if (starts("glTF") || /\.gltf$/i.test(name)) return readGltf(bytes, progress);
     if (/\.splat$/i.test(name)) return readSplat(bytes, progress);
-    throw new Error("The file is no scene: this page reads PLY, SPZ, .splat and glTF.");
+    throw new Error("The file is no scene: this page reads PLY, SPZ, SOG, .splat and glTF.");
 }

@@ -35,7 +35,7 @@ class Page {
             this.say("The graphics driver stopped. Reload the page to go on.", true);
         });
         if (this.scenes.length) this.choose(0);
-        else this.say("Drop a PLY, SPZ, .splat or glTF here, or press Open.");
+        else this.say("Drop a PLY, SPZ, SOG, .splat or glTF here, or press Open.");
     }
 
     get scene() { return this.scenes[this.current]; }

@@ -128,6 +128,12 @@ impl Camera {
         self.pose.view_matrix()
     }
 
+    /// Returns the camera after its world moved: x becomes `pose(scale x)`.
+    pub fn placed(&self, scale: f64, pose: &Pose) -> Self {
+        let translation = pose.transform(scale * self.pose.translation);
+        Self { pose: Pose { rotation: pose.rotation * self.pose.rotation, translation }, ..*self }
+    }
+
     /// Returns a world point's pixel coordinates and depth, if it is in the picture.
     pub fn project(&self, point: DVec3) -> Option<DVec3> {
         let (i, p) = (&self.intrinsics, self.pose.inverse().transform(point));

@@ -6,6 +6,7 @@
 mod axes;
 mod bounded;
 mod camera;
+mod edit;
 mod file;
 mod folder;
 mod format;
@@ -21,6 +22,7 @@ mod scene;
 mod scene_file;
 mod sh_rotation;
 mod skipped_pass;
+mod sog;
 mod source;
 mod splat;
 mod spz;
@@ -33,6 +35,7 @@ pub use camera::{
     Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, relative_encoding,
     unit_quaternion,
 };
+pub use edit::{Edit, EditReport};
 pub use file::{Unfinished, open_file, remove_stale, write_atomic};
 pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};
 pub use format::SaveOptions;

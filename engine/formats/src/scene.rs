@@ -184,8 +184,7 @@ impl Scene {
 
     /// Returns the indices that [`Scene::keep_most_visible`] keeps.
     pub fn most_visible(&self, group: usize, count: usize) -> Vec<usize> {
-        let area = |[x, y, z]: [f32; 3]| (x * y).max(y * z).max(x * z);
-        let visible: Vec<f32> = self.opacities.iter().zip(&self.scales).map(|(o, scales)| o * area(*scales)).collect();
+        let visible = self.visibilities();
         let mut kept = Vec::new();
         for start in (0..self.len()).step_by(group.max(1)) {
             let mut order: Vec<usize> = (start..self.len().min(start + group.max(1))).collect();
@@ -195,6 +194,17 @@ impl Scene {
             kept.extend(order);
         }
         kept
+    }
+
+    /// Returns each Gaussian's opacity times its two largest scales.
+    pub(super) fn visibilities(&self) -> Vec<f32> {
+        (0..self.len()).map(|i| self.opacities[i] * self.area(i)).collect()
+    }
+
+    /// Returns the product of a Gaussian's two largest scales.
+    pub(super) fn area(&self, i: usize) -> f32 {
+        let [x, y, z] = self.scales[i];
+        (x * y).max(y * z).max(x * z)
     }
 
     /// Removes invalid Gaussians and returns their number.

@@ -7,7 +7,7 @@ use super::{
     Scene, World,
     file::write_atomic,
     format::{Format, SaveOptions},
-    gltf, ply,
+    gltf, ply, sog,
     source::Source,
     splat, spz,
 };
@@ -57,6 +57,8 @@ formats! {
     Ply ".ply" ply::FORMAT;
     /// Niantic's SPZ.
     Spz ".spz" spz::FORMAT;
+    /// PlayCanvas's SOG, in one file.
+    Sog ".sog" sog::FORMAT;
     /// antimatter15's format of 32 bytes per Gaussian.
     Splat ".splat" splat::FORMAT;
     /// [`SceneFormat::Gltf`] in one binary file.
@@ -126,7 +128,7 @@ impl Scene {
     }
 
     /// Decodes a scene as [`Scene::open`], detected by its first bytes, else of `format`, which
-    /// `.splat` and `.gltf` need. A glTF may not refer to other files.
+    /// `.splat`, `.sog` and `.gltf` need. A glTF may not refer to other files.
     pub fn decode(bytes: &[u8], format: Option<SceneFormat>) -> Result<Self> {
         Self::decode_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
     }

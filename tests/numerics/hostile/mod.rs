@@ -93,6 +93,7 @@ fn parsers() -> Vec<Parser> {
         },
         parser("SPZ 4", vec![seeds::spz4(0), seeds::spz4(1)], |folder, bytes| scene(folder, "scene.spz", bytes)),
         parser("packed PLY", vec![seeds::packed_ply()], |folder, bytes| scene(folder, "scene.ply", bytes)),
+        parser("SOG", vec![seeds::scene("sog", 1)], |folder, bytes| scene(folder, "scene.sog", bytes)),
         parser(".splat", vec![seeds::scene("splat", 0)], |folder, bytes| scene(folder, "scene.splat", bytes)),
         parser("glb", vec![seeds::scene("glb", 1)], |folder, bytes| scene(folder, "scene.glb", bytes)),
         parser("glTF", vec![seeds::scene("gltf", 0)], |folder, bytes| scene(folder, "scene.gltf", bytes)),

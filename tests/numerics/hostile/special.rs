@@ -11,11 +11,12 @@ const PATIENCE: Duration = Duration::from_secs(20);
 type Reader = fn(&Path) -> Result<()>;
 
 /// With an expected file name.
-const READERS: [(&str, &str, Reader); 14] = [
+const READERS: [(&str, &str, Reader); 15] = [
     ("weights", "weights.pt", |path| Checkpoint::open(path, None).map(drop)),
     ("conversion", "weights.safetensors", |path| convert(path, path.with_extension("out"), Dtype::F16, None)),
     ("PLY", "scene.ply", |path| Scene::open(path).map(drop)),
     ("SPZ", "scene.spz", |path| Scene::open(path).map(drop)),
+    ("SOG", "scene.sog", |path| Scene::open(path).map(drop)),
     (".splat", "scene.splat", |path| Scene::open(path).map(drop)),
     ("glTF", "scene.gltf", |path| Scene::open(path).map(drop)),
     ("glb", "scene.glb", |path| Scene::open(path).map(drop)),

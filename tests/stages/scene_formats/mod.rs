@@ -1,6 +1,7 @@
 mod foreign;
 mod gltf;
 mod packed;
+mod sog;
 mod spz4;
 
 use flate2::Compression;
@@ -146,7 +147,7 @@ fn splat_keeps_one_color_most_important_first() {
 
 #[test]
 fn empty_scenes_are_scenes() {
-    for name in ["scene.ply", "scene.spz", "scene.splat"] {
+    for name in ["scene.ply", "scene.spz", "scene.sog", "scene.splat"] {
         let empty = Scene::default();
         assert_eq!(round_trip(&empty, name, &SaveOptions::default()), empty, "{name}");
     }
@@ -179,7 +180,7 @@ fn bytes_in_memory_are_what_files_have() {
         truth.save(&path).unwrap();
         assert!(fs::read(&path).unwrap() == bytes, "{format:?}");
         assert!(Scene::decode(&bytes, Some(format)).unwrap() == Scene::open(&path).unwrap(), "{format:?}");
-        let marked = !matches!(format, SceneFormat::Splat | SceneFormat::Gltf);
+        let marked = !matches!(format, SceneFormat::Splat | SceneFormat::Sog | SceneFormat::Gltf);
         assert_eq!(Scene::decode(&bytes, None).is_ok(), marked, "{format:?}");
     }
     assert_refused(Scene::decode(b"no scene", None), &["scene in memory", "expected .ply"]);

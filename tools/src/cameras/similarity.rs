@@ -56,8 +56,7 @@ impl Similarity {
     }
 
     pub fn apply(&self, camera: &Camera) -> Camera {
-        let translation = self.point(camera.pose.translation);
-        Camera { pose: Pose { rotation: self.pose.rotation * camera.pose.rotation, translation }, ..*camera }
+        camera.placed(self.scale, &self.pose)
     }
 }
 

@@ -3,6 +3,7 @@ mod cameras;
 mod convert;
 mod depth;
 mod doctor;
+mod edit;
 mod eval;
 mod reconstruct;
 mod refine;
@@ -21,6 +22,7 @@ pub enum Command {
     Cameras(cameras::Cameras),
     Depth(depth::Depth),
     Refine(refine::Refine),
+    Edit(edit::Edit),
     Render(render::Render),
     View(view::View),
     Convert(convert::Convert),
@@ -46,6 +48,7 @@ impl Command {
             Command::Cameras(command) => command.run(session),
             Command::Depth(command) => command.run(session),
             Command::Refine(command) => command.run(session),
+            Command::Edit(command) => command.run(session),
             Command::Render(command) => command.run(session),
             Command::View(command) => command.run(session),
             Command::Convert(command) => command.run(session),

@@ -38,11 +38,11 @@ use zipsplat::{
   zipsplat refine scene.spz photos/ --cameras colmap/ --init both --max-image-size 504x504 -o better.ply
   zipsplat refine scene.ply photos/ --cameras rough.json --optimize-cameras --cameras-out exact.json -o better.ply")]
 pub struct Refine {
-    /// Scene (PLY, SPZ, .splat or glTF; none with --init points), then photos (PNG, JPEG, WebP) or
-    /// folders of them
+    /// Scene (PLY, SPZ, SOG, .splat or glTF; none with --init points), then photos (PNG, JPEG, WebP)
+    /// or folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
     files: Vec<PathBuf>,
-    /// Scene to write: .ply, .spz, .splat, .glb or .gltf
+    /// Scene to write: .ply, .spz, .sog, .splat, .glb or .gltf
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

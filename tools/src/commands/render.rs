@@ -38,7 +38,7 @@ use zipsplat::{
   zipsplat render scene.ply --dolly --dolly-zoom -o - | ffplay -f rawvideo -pixel_format rgb24 -video_size 252x252 -"
 )]
 pub struct Render {
-    /// Scene: PLY, SPZ, .splat or glTF
+    /// Scene: PLY, SPZ, SOG, .splat or glTF
     scene: PathBuf,
     #[command(flatten)]
     input: SceneInput,

@@ -49,8 +49,8 @@ use zipsplat::{
   zipsplat view tenth.ply half.ply all.ply -o compared.html"
 )]
 pub struct View {
-    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of
-    /// photos, and videos
+    /// Scenes (PLY, SPZ, SOG, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC with ffmpeg),
+    /// folders of photos, and videos
     #[arg(required = true, value_name = "SCENES|PHOTOS")]
     files: Vec<PathBuf>,
     #[command(flatten)]

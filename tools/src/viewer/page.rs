@@ -21,7 +21,11 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/refining.js"),
     include_str!("../../viewer/page.js"),
 );
-const WORKER: &str = concat!(include_str!("../../viewer/formats.js"), include_str!("../../viewer/worker.js"));
+const WORKER: &str = concat!(
+    include_str!("../../viewer/zstd.js"),
+    include_str!("../../viewer/formats.js"),
+    include_str!("../../viewer/worker.js")
+);
 
 #[derive(Default, Serialize)]
 pub struct Config {

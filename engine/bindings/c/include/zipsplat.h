@@ -459,7 +459,7 @@ typedef struct zs_scene_open_options {
     uint32_t struct_size;
     // 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     uint32_t drop_invalid;
-    // Format in memory: "splat" or "gltf"; others are recognized by content. NULL for files.
+    // Format in memory: "splat", "sog" or "gltf"; NULL for others and for files.
     const char *format;
 } zs_scene_open_options;
 
@@ -490,7 +490,7 @@ zs_status zs_scene_from_points(const float *positions,
                                size_t camera_count,
                                struct zs_scene **scene);
 
-// Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
+// Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .sog, .splat, or glTF with
 // KHR_gaussian_splatting (.gltf, .glb).
 zs_status zs_scene_open(const char *path, const struct zs_scene_open_options *options, struct zs_scene **scene);
 
@@ -500,11 +500,11 @@ zs_status zs_scene_from_memory(const void *data,
                                const struct zs_scene_open_options *options,
                                struct zs_scene **scene);
 
-// Writes a scene in the format of the extension: .ply, .spz, .splat, .gltf or .glb. An opened
-// file's world is kept.
+// Writes a scene in the format of the extension: .ply, .spz, .sog, .splat, .gltf or .glb. An
+// opened file's world is kept.
 zs_status zs_scene_save(const struct zs_scene *scene, const char *path, const struct zs_scene_save_options *options);
 
-// Encodes a scene as "ply", "spz", "splat", "gltf" or "glb".
+// Encodes a scene as "ply", "spz", "sog", "splat", "gltf" or "glb".
 zs_status zs_scene_to_memory(const struct zs_scene *scene,
                              const char *format,
                              const struct zs_scene_save_options *options,
@@ -518,6 +518,67 @@ void zs_blob_destroy(struct zs_blob *bytes);
 
 // Destroys a scene.
 void zs_scene_destroy(struct zs_scene *scene);
+
+/**********************/
+/*  Edits of scenes.  */
+/**********************/
+
+// Kind of an edit, with its numbers. Lengths are in world units.
+ZS_ENUM(zs_edit_kind) {
+    // Keeps centers in a box: lower corner x, y, z, upper corner x, y, z.
+    ZS_EDIT_CROP_BOX = 0,
+    // Keeps centers in a sphere: center x, y, z, radius.
+    ZS_EDIT_CROP_SPHERE = 1,
+    // Moves the scene: x, y, z.
+    ZS_EDIT_TRANSLATE = 2,
+    // Rotates about the origin: degrees about x, then y, then z.
+    ZS_EDIT_ROTATE = 3,
+    // Scales about the origin: factor.
+    ZS_EDIT_SCALE = 4,
+    // Rotates about the origin: the cameras' mean up becomes -y.
+    ZS_EDIT_LEVEL = 5,
+    // Drops smaller opacities: opacity.
+    ZS_EDIT_MIN_OPACITY = 6,
+    // Drops larger Gaussians: largest standard deviation.
+    ZS_EDIT_MAX_SIZE = 7,
+    // Drops isolated Gaussians: least number of others, radius.
+    ZS_EDIT_MIN_NEIGHBORS = 8,
+    // Drops Gaussians whose center few cameras' pictures contain: least number of cameras.
+    ZS_EDIT_MIN_VIEWS = 9,
+    // Drops floaters: opacities below 0.02; Gaussians without another center within 8 times their
+    // largest standard deviation; with cameras also centers outside all their pictures, doubled in
+    // width and height.
+    ZS_EDIT_CLEAN = 10,
+    // Lowers the degree of spherical harmonics: degree.
+    ZS_EDIT_SH_DEGREE = 11,
+    // Merges similar neighbors: number of Gaussians left, or a fraction below 1.
+    ZS_EDIT_DECIMATE = 12,
+    // Sorts by opacity times the two largest scales, largest first.
+    ZS_EDIT_SORT = 13,
+};
+
+// An edit.
+typedef struct zs_edit {
+    // sizeof(zs_edit).
+    uint32_t struct_size;
+    // Kind.
+    zs_edit_kind kind;
+    // Numbers of the kind; the others are 0.
+    double numbers[6];
+} zs_edit;
+
+// Merges `scenes`, one or more in one world, and applies `edits` in order. `cameras`, in that
+// world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN; edits that move the scene
+// move them, too. `gaussian_counts` is NULL or gets the number of Gaussians after each edit. Edits
+// that leave none fail.
+zs_status zs_scene_edit(const struct zs_scene *const *scenes,
+                        size_t scene_count,
+                        const struct zs_edit *edits,
+                        size_t edit_count,
+                        const struct zs_camera *cameras,
+                        size_t camera_count,
+                        size_t *gaussian_counts,
+                        struct zs_scene **scene);
 
 /*************/
 /*  Models.  */

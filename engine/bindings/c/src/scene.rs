@@ -106,7 +106,7 @@ pub struct zs_scene_open_options {
     pub struct_size: u32,
     /// 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     pub drop_invalid: u32,
-    /// Format in memory: "splat" or "gltf"; others are recognized by content. NULL for files.
+    /// Format in memory: "splat", "sog" or "gltf"; NULL for others and for files.
     pub format: *const c_char,
 }
 
@@ -241,7 +241,7 @@ pub unsafe extern "C" fn zs_scene_from_points(
     unsafe { produce(scene, create) }
 }
 
-/// Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
+/// Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .sog, .splat, or glTF with
 /// KHR_gaussian_splatting (.gltf, .glb).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(
@@ -312,8 +312,8 @@ fn format_named(name: &str) -> Result<SceneFormat, Failure> {
     SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
 }
 
-/// Writes a scene in the format of the extension: .ply, .spz, .splat, .gltf or .glb. An opened
-/// file's world is kept.
+/// Writes a scene in the format of the extension: .ply, .spz, .sog, .splat, .gltf or .glb. An
+/// opened file's world is kept.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_save(
     scene: *const zs_scene,
@@ -328,7 +328,7 @@ pub unsafe extern "C" fn zs_scene_save(
     })
 }
 
-/// Encodes a scene as "ply", "spz", "splat", "gltf" or "glb".
+/// Encodes a scene as "ply", "spz", "sog", "splat", "gltf" or "glb".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_to_memory(
     scene: *const zs_scene,

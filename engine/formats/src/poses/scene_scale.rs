@@ -3,6 +3,7 @@
 use super::{super::Camera, super::Pose, read_cloud};
 use crate::Result;
 use glam::{DMat3, DVec3};
+use nalgebra::Matrix3;
 use serde::Serialize;
 use std::{
     fmt,
@@ -128,7 +129,8 @@ fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
         sum += across;
         moment += across * pose.translation;
     }
-    if smallest_eigenvalue(sum) < CONVERGING * cameras.len() as f64 {
+    let eigenvalues = Matrix3::from_column_slice(&sum.to_cols_array()).symmetric_eigenvalues();
+    if eigenvalues.min() < CONVERGING * cameras.len() as f64 {
         return None;
     }
     let point = sum.inverse() * moment;
@@ -136,21 +138,6 @@ fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
     let distance = median(cameras.iter().map(|pose| point.distance(pose.translation)).collect())?;
     let own = point.distance(first.translation).clamp(distance / FARTHER, distance * FARTHER);
     (depth > 0.0 && own > 0.0).then_some(own)
-}
-
-/// Returns the smallest eigenvalue of a positive semidefinite matrix: trigonometric solution of the
-/// characteristic polynomial.
-fn smallest_eigenvalue(m: DMat3) -> f64 {
-    let mean = (m.x_axis.x + m.y_axis.y + m.z_axis.z) / 3.0;
-    let rest = m - DMat3::from_diagonal(DVec3::splat(mean));
-    let squares = [rest.x_axis, rest.y_axis, rest.z_axis].map(DVec3::length_squared);
-    let radius = (squares.iter().sum::<f64>() / 6.0).sqrt();
-    if radius <= f64::EPSILON * mean {
-        return mean;
-    }
-    let half = (rest * (1.0 / radius)).determinant() / 2.0;
-    let angle = half.clamp(-1.0, 1.0).acos() / 3.0;
-    mean + 2.0 * radius * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos()
 }
 
 fn of_spread(cameras: &[Pose]) -> Option<f64> {

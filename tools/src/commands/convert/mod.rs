@@ -19,8 +19,8 @@ use zipsplat::{
 
 /// Convert scenes between formats and checkpoints to safetensors, or summarize a file
 ///
-/// Detects a scene's format by its first bytes (.splat and .gltf by extension). Coordinates do not
-/// change. All formats except .splat and SPZ version 4 store the transform to the cameras' world.
+/// Detects a scene's format by its first bytes (.splat, .sog and .gltf by extension). Coordinates
+/// do not change. All formats except .splat and SPZ version 4 store the transform to the cameras' world.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply
@@ -33,7 +33,7 @@ use zipsplat::{
   zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
+    /// Scene (PLY, SPZ, SOG, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
     /// `zipsplat weights list`, or seeded:VARIANT[:KEY]
     input: String,
     /// File to write; its extension gives the format [default: none, only summarize the input]

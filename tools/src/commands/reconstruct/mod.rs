@@ -75,7 +75,7 @@ At most {MAX_VIEWS} photos, or any number to refine from the capture's points.")
 pub struct Reconstruct {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Scene to write: .ply, .spz, .splat, .glb or .gltf; with --each a folder
+    /// Scene to write: .ply, .spz, .sog, .splat, .glb or .gltf; with --each a folder
     #[arg(long, short, value_name = "FILE", required_unless_present = "dry_run")]
     output: Option<PathBuf>,
     #[command(flatten)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 import os
-from typing import TYPE_CHECKING, Any, Literal, Mapping, Optional, Sequence, Union
+from typing import TYPE_CHECKING, Any, Literal, Mapping, Optional, Sequence, Tuple, Union, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -27,16 +27,34 @@ if TYPE_CHECKING:
     from .renderer import DepthMode, RenderOutput
 
 Array = npt.NDArray[np.float32]
-Format = Literal["ply", "spz", "splat", "gltf", "glb"]
+Format = Literal["ply", "spz", "sog", "splat", "gltf", "glb"]
 World = Literal["first_camera", "input_cameras"]
 SpzVersion = Literal[2, 3, 4]
 RefineTarget = Literal["gaussians", "tokens"]
+EditName = Literal[
+    "crop_box",
+    "crop_sphere",
+    "translate",
+    "rotate",
+    "scale",
+    "level",
+    "min_opacity",
+    "max_size",
+    "min_neighbors",
+    "min_views",
+    "clean",
+    "sh_degree",
+    "decimate",
+    "sort",
+]
+Edit = Union[EditName, Tuple[EditName, Union[float, Sequence[float]]]]
 FIELDS = ("means", "scales", "quats", "opacities", "sh_coeffs")
 _WORLDS: dict[int, World] = {
     lib.ZS_WORLD_FIRST_CAMERA: "first_camera",
     lib.ZS_WORLD_INPUT_CAMERAS: "input_cameras",
 }
 _REFINE_TARGETS = {"gaussians": lib.ZS_REFINE_TARGET_GAUSSIANS, "tokens": lib.ZS_REFINE_TARGET_TOKENS}
+_EDITS = {name: getattr(lib, f"ZS_EDIT_{name.upper()}") for name in get_args(EditName)}
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
 _LEAST_SCALE, _LEAST_OPACITY = 1e-30, 1e-7
 
@@ -57,6 +75,7 @@ class Scene:
         world: "first_camera" or "input_cameras", as stated by the file; else None.
         dropped_count: Number of Gaussians dropped by `drop_invalid`.
         refinement: Result of the refinement behind the scene; None without one.
+        edit_counts: Number of Gaussians after each edit of `edit`; empty without one.
 
     The arrays are read-only views of library memory and keep it alive; to_numpy, to_torch and
     to_gsplat return copies.
@@ -66,6 +85,7 @@ class Scene:
         self, handle: Handle, device: Optional[Device] = None, refinement: Optional[RefineResult] = None
     ) -> None:
         self._scene, self._device, self.refinement = handle, device, refinement
+        self.edit_counts: list[int] = []
         info, found = structure("scene_info"), structure("gaussians")
         call("zs_scene_get_info", handle, info)
         self.world: Optional[World] = _WORLDS.get(info.world)
@@ -81,7 +101,7 @@ class Scene:
 
     @classmethod
     def open(cls, path: PathLike, *, drop_invalid: bool = False) -> Scene:
-        """Opens a scene file: PLY, .compressed.ply, SPZ, .splat, .gltf or .glb.
+        """Opens a scene file: PLY, .compressed.ply, SPZ, .sog, .splat, .gltf or .glb.
 
         glTF uses KHR_gaussian_splatting. Axes become x right, y down, z forward.
 
@@ -97,7 +117,7 @@ class Scene:
     def from_bytes(cls, data: bytes, format: Optional[Format] = None, *, drop_invalid: bool = False) -> Scene:
         """Decodes a scene file in memory, as `open`.
 
-        PLY, SPZ and .glb are recognized by content; `format` is "splat" or "gltf" otherwise.
+        PLY, SPZ and .glb are recognized by content; `format` is "splat", "sog" or "gltf" otherwise.
         """
         name = _name(format)
         options = structure("scene_open_options", drop_invalid=int(drop_invalid), format=name)
@@ -196,7 +216,7 @@ class Scene:
         return {name: np.array(getattr(self, name)) for name in FIELDS}
 
     def save(self, path: PathLike, *, spz_version: SpzVersion = 3) -> None:
-        """Writes the scene in the format of the path's extension: .ply, .spz, .splat, .gltf, .glb.
+        """Writes a .ply, .spz, .sog, .splat, .gltf or .glb file, by the path's extension.
 
         An existing file is replaced atomically.
 
@@ -207,12 +227,53 @@ class Scene:
         call("zs_scene_save", self._scene, os.fsencode(path), structure("scene_save_options", spz_version=spz_version))
 
     def to_bytes(self, format: Format, *, spz_version: SpzVersion = 3) -> bytes:
-        """Encodes the scene as "ply", "spz", "splat", "gltf" or "glb"."""
+        """Encodes the scene as "ply", "spz", "sog", "splat", "gltf" or "glb"."""
         options = structure("scene_save_options", spz_version=spz_version)
         found = Handle("blob", "zs_scene_to_memory", self._scene, _name(format), options)
         data, size = ffi.new("void **"), ffi.new("size_t *")
         call("zs_blob_get", found, data, size)
         return bytes(ffi.buffer(data[0], size[0]))
+
+    def edit(
+        self, edits: Sequence[Edit] = (), *, merge: Sequence[Scene] = (), cameras: Sequence[Camera] = ()
+    ) -> Scene:
+        """Returns a copy with other scenes appended, and edits applied in order.
+
+        Args:
+            edits: Names, or pairs of a name and its numbers, in world units; missing ones are 0:
+                "crop_box" (lower x, y, z, upper x, y, z), "crop_sphere" (x, y, z, radius),
+                "translate" (x, y, z), "rotate" (degrees about x, then y, then z), "scale",
+                "level" (the cameras' mean up becomes -y), "min_opacity", "max_size" (standard
+                deviation), "min_neighbors" (number, radius), "min_views" (number of cameras whose
+                pictures contain the center), "clean" (drops floaters), "sh_degree", "decimate"
+                (merges similar neighbors; number left, or a fraction below 1), "sort" (by opacity
+                times the two largest scales).
+            merge: Scenes in the same world.
+            cameras: Cameras in the scene's world, for "level", "min_views" and "clean".
+
+        Raises:
+            ArgumentError: an edit is invalid, needs cameras, or leaves no Gaussian.
+
+        Example:
+            >>> small = scene.edit(["clean", ("crop_sphere", (0, 0, 2, 1.5)), ("decimate", 0.5)])
+            >>> small.edit_counts
+            [9120, 4031, 2016]
+        """
+        pairs = [(edit, ()) if isinstance(edit, str) else edit for edit in edits]
+        given = ffi.new("zs_edit[]", len(pairs))
+        for to, (name, numbers) in zip(given, pairs):
+            values = [float(number) for number in np.atleast_1d(np.asarray(numbers, np.float64))]
+            to.struct_size, to.kind = ffi.sizeof("zs_edit"), choose("edits", name, _EDITS)
+            if len(values) > len(to.numbers):
+                raise ArgumentError(f"{name}: found {len(values)} numbers, expected at most {len(to.numbers)}")
+            to.numbers = values
+        scenes = [self, *merge]
+        handles = ffi.new("zs_scene *[]", [scene._scene.pointer for scene in scenes])
+        counts, views = ffi.new("size_t[]", max(len(pairs), 1)), native_cameras(cameras)
+        arrays = (handles, len(scenes), given, len(pairs), views, len(views))
+        edited = Scene(Handle("scene", "zs_scene_edit", *arrays, counts), self._device)
+        edited.edit_counts = list(counts)[: len(pairs)]
+        return edited
 
     def refine(
         self,

@@ -1,0 +1,82 @@
+//! Selections of Gaussians. Each returns the number removed with the reason.
+
+use glam::DVec3;
+use rayon::prelude::*;
+use rstar::{RTree, primitives::GeomWithData};
+
+use crate::{Camera, Scene};
+
+pub(super) type Tree = RTree<GeomWithData<[f64; 3], usize>>;
+
+pub(super) fn center(scene: &Scene, i: usize) -> DVec3 {
+    scene.means[i].map(f64::from).into()
+}
+
+pub(super) fn tree(scene: &Scene) -> Tree {
+    let places = scene.means.iter().enumerate().map(|(i, at)| GeomWithData::new(at.map(f64::from), i));
+    RTree::bulk_load(places.collect())
+}
+
+fn largest(scene: &Scene, i: usize) -> f64 {
+    f64::from(scene.scales[i].into_iter().fold(0.0, f32::max))
+}
+
+pub(super) fn select(scene: &mut Scene, hold: impl Fn(usize, DVec3) -> bool + Sync, reason: &str) -> String {
+    let before = scene.len();
+    let kept: Vec<usize> = (0..before).into_par_iter().filter(|i| hold(*i, center(scene, *i))).collect();
+    if kept.len() < before {
+        scene.keep(&kept);
+    }
+    format!("{} {reason}", before - kept.len())
+}
+
+pub(super) fn opacity(scene: &mut Scene, least: f64) -> String {
+    let opacities = scene.opacities.clone();
+    select(scene, |i, _| f64::from(opacities[i]) >= least, &format!("with an opacity below {least}"))
+}
+
+pub(super) fn size(scene: &mut Scene, most: f64) -> String {
+    let sizes: Vec<f64> = (0..scene.len()).map(|i| largest(scene, i)).collect();
+    select(scene, |i, _| sizes[i] <= most, &format!("larger than {most:.4}"))
+}
+
+pub(super) fn neighbors(scene: &mut Scene, count: usize, radius: f64) -> String {
+    let near = neighbor_counts(scene, count, |_| radius);
+    select(scene, |i, _| near[i] >= count, &format!("with fewer than {count} neighbors within {radius:.4}"))
+}
+
+/// Counts other centers within a radius, up to `most`.
+fn neighbor_counts(scene: &Scene, most: usize, radius: impl Fn(usize) -> f64 + Sync) -> Vec<usize> {
+    let tree = tree(scene);
+    // Each center finds itself, too.
+    let near = |i: usize| tree.locate_within_distance(scene.means[i].map(f64::from), radius(i).powi(2)).take(most + 1);
+    (0..scene.len()).into_par_iter().map(|i| near(i).count() - 1).collect()
+}
+
+pub(super) fn views(scene: &mut Scene, cameras: &[Camera], count: usize) -> String {
+    let hold = |_, at| cameras.iter().filter(|camera| camera.project(at).is_some()).take(count).count() == count;
+    select(scene, hold, &format!("in the pictures of fewer than {count} cameras"))
+}
+
+/// On refined captures these defaults keep held-out PSNR. A limit of size would drop background.
+const CLEAN_OPACITY: f64 = 0.02;
+/// Relative to a Gaussian's largest standard deviation, which suits near and far ones.
+const CLEAN_RADIUS: f64 = 8.0;
+
+pub(super) fn clean(scene: &mut Scene, cameras: &[Camera]) -> String {
+    let mut effects = vec![opacity(scene, CLEAN_OPACITY)];
+    let near = neighbor_counts(scene, 1, |i| CLEAN_RADIUS * largest(scene, i));
+    effects.push(select(scene, |i, _| near[i] > 0, &format!("alone within {CLEAN_RADIUS} times their size")));
+    if !cameras.is_empty() {
+        // Gaussians beside a picture reach into it.
+        let doubled = |camera: &Camera| {
+            let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+            let (left, top) = (-(width as i32 / 2), -(height as i32 / 2));
+            Camera { intrinsics: camera.intrinsics.crop(left, top, 2 * width, 2 * height), ..*camera }
+        };
+        let doubled: Vec<Camera> = cameras.iter().map(doubled).collect();
+        let hold = |_, at| doubled.iter().any(|camera| camera.project(at).is_some());
+        effects.push(select(scene, hold, "outside all pictures of twice the cameras' size"));
+    }
+    effects.join(", ")
+}
