@@ -34,7 +34,7 @@ use glam::DVec3;
 use growth::padded;
 use photos::PhotoCache;
 use refinement::Refinement;
-use schedule::{FULL, Schedule};
+use schedule::Schedule;
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
@@ -47,12 +47,12 @@ const HOLD_OUT_FROM: usize = 40;
 const GROWTH_FROM: usize = 50;
 /// Upper limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
-/// Limits of growth by default up to `FULL` steps: pixels of all photos per Gaussian, and its
-/// factor. From there to `DETAIL_UNTIL` steps, Gaussians increase with the square root of the steps:
-/// fewer would stop gaining detail.
+/// Limits of growth by default: pixels of all photos per Gaussian, and its factor. Between these
+/// steps, both increase with the square root of the steps: fewer Gaussians would stop gaining
+/// detail.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;
 const MOST_GROWTH: f64 = 16.0;
-const DETAIL_UNTIL: usize = 400;
+const DETAIL: [usize; 2] = [200, 800];
 /// Growth by a factor makes the mean step slower by this power of it, more Gaussians for more steps
 /// also by this power of their number.
 const GROWTH_COST: f64 = 0.42;
@@ -197,7 +197,7 @@ fn grown_len(
 }
 
 fn detail(steps: usize) -> f64 {
-    (steps.min(DETAIL_UNTIL) as f64 / FULL).sqrt().max(1.0)
+    (steps.clamp(DETAIL[0], DETAIL[1]) as f64 / DETAIL[0] as f64).sqrt()
 }
 
 fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
@@ -329,7 +329,7 @@ mod tests {
     fn growth_leaves_time_for_fewer_steps() {
         let grow = |steps: usize| (steps >= GROWTH_FROM).then_some(400);
         // Four times the Gaussians make a step 1.79 times slower.
-        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 438)] {
+        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 479)] {
             assert_eq!(steps_with_growth(steps, Some(100), grow), grown, "{steps}");
             assert_eq!(steps_with_growth(steps, None, |_| None), steps.max(1.0) as usize);
         }
@@ -340,10 +340,10 @@ mod tests {
         let grown =
             |steps: usize, len: usize| grown_len(&RefineOptions::default(), steps, len, [[320, 100]; 2].into_iter());
         assert_eq!(
-            [49, 50, 100, 225, 400, 9999].map(|steps| grown(steps, 500)),
+            [49, 50, 200, 450, 800, 9999].map(|steps| grown(steps, 500)),
             [None, Some(2000), Some(2000), Some(3000), Some(4000), Some(4000)]
         );
-        assert_eq!([100, 400].map(|steps| grown(steps, 10)), [Some(160), Some(320)]);
-        assert_eq!([100, 400].map(|steps| grown(steps, 2000)), [None, Some(4000)]);
+        assert_eq!([200, 800].map(|steps| grown(steps, 10)), [Some(160), Some(320)]);
+        assert_eq!([200, 800].map(|steps| grown(steps, 2000)), [None, Some(4000)]);
     }
 }

@@ -1,6 +1,6 @@
 //! Settings of a refinement.
 
-use super::DETAIL_UNTIL;
+use super::DETAIL;
 use crate::stages::{loss::Loss, lpips::LpipsNetwork};
 use std::time::Duration;
 
@@ -25,7 +25,7 @@ impl RefineLength {
     pub(super) fn most_steps(self) -> usize {
         match self {
             Self::Steps(steps) => steps,
-            Self::Time(_) => DETAIL_UNTIL,
+            Self::Time(_) => DETAIL[1],
         }
     }
 }
@@ -55,8 +55,8 @@ pub struct RefineOptions {
     pub optimize_cameras: bool,
     /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
     /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of
-    /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number; from 100 steps
-    /// on more, up to twice as many at 400.
+    /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number; from 200 steps
+    /// on more, up to twice as many at 800.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,

@@ -2,7 +2,7 @@ use std::f64::consts::PI;
 
 const LAST: f64 = 0.1;
 /// Steps up to which rates have full size.
-pub(super) const FULL: f64 = 100.0;
+const FULL: f64 = 100.0;
 /// Training PSNR in dB above which a scene's rate shrinks with its error.
 const GOOD: f64 = 20.0;
 /// Ends of the coarse phases, as fractions of the steps, and their downscaling factors.

@@ -968,7 +968,7 @@ typedef struct zs_refine_options {
     uint64_t seed;
     // Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 50
     // steps on and below a training PSNR of 25 dB, to one per 32 pixels of the photos and at most
-    // 16 times the scene's; from 100 steps on more, up to twice as many at 400. Must be 0 for
+    // 16 times the scene's; from 200 steps on more, up to twice as many at 800. Must be 0 for
     // tokens.
     size_t max_gaussians;
     // Progress callback, called after each step.
