@@ -38,8 +38,8 @@ use zipsplat::{
   zipsplat refine scene.spz photos/ --cameras colmap/ --init both --max-image-size 504x504 -o better.ply
   zipsplat refine scene.ply photos/ --cameras rough.json --optimize-cameras --cameras-out exact.json -o better.ply")]
 pub struct Refine {
-    /// Scene (PLY, SPZ, SOG, .splat or glTF; none with --init points), then photos (PNG, JPEG, WebP)
-    /// or folders of them
+    /// Scene (PLY, SPZ, SOG, .splat or glTF; none with --init points), then photos (PNG, JPEG,
+    /// WebP) or folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
     files: Vec<PathBuf>,
     /// Scene to write: .ply, .spz, .sog, .splat, .glb or .gltf

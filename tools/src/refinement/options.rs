@@ -105,8 +105,8 @@ pub struct RefineSettings {
     pub optimize_cameras: bool,
     /// Grow the scene to at most N Gaussians (3DGS-MCMC) by relocating invisible Gaussians and
     /// adding new ones; 0: no growth [default: from 50 steps on and below a training PSNR
-    /// of 25 dB, a Gaussian per 32 pixels of the photos, at most 16 times the initial number; from 200
-    /// steps on more, up to twice as many at 800]
+    /// of 25 dB, a Gaussian per 32 pixels of the photos, at most 16 times the initial number; from
+    /// 200 steps on more, up to twice as many at 800]
     #[arg(long, value_name = "N", value_parser = parse_count)]
     max_gaussians: Option<usize>,
     /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training; steps take many times as

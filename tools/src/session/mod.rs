@@ -45,8 +45,8 @@ pub struct Global {
     /// digits; none: plan for a typical GPU, with `reconstruct --dry-run` [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
-    /// Device memory limit in bytes, such as 3G, also for the photos that a refinement keeps in host
-    /// memory; K, M and G are powers of 1024 [default: all, 4G of photos]
+    /// Device memory limit in bytes, such as 3G, also of the photos that a refinement keeps in
+    /// host memory; K, M and G are powers of 1024 [default: all, 4G of photos]
     #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
     pub max_memory: Option<u64>,
     /// Print the result as JSON to standard output: {"schema_version", "command", "warnings",

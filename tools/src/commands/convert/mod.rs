@@ -20,7 +20,8 @@ use zipsplat::{
 /// Convert scenes between formats and checkpoints to safetensors, or summarize a file
 ///
 /// Detects a scene's format by its first bytes (.splat, .sog and .gltf by extension). Coordinates
-/// do not change. All formats except .splat and SPZ version 4 store the transform to the cameras' world.
+/// do not change. All formats except .splat and SPZ version 4 store the transform to the cameras'
+/// world.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply
