@@ -147,6 +147,7 @@ fn check_whole(folder: &Path) -> usize {
         "gif" => assert_eq!(frames(path), 24),
         "safetensors" => drop(Checkpoint::open(path, None).expect("whole weights")),
         "html" => assert!(std::fs::read_to_string(path).is_ok_and(|text| text.ends_with("</html>\n"))),
+        "svg" => assert!(std::fs::read_to_string(path).is_ok_and(|text| text.ends_with("</svg>\n"))),
         "csv" => {
             assert!(std::fs::read_to_string(path).is_ok_and(|text| text.lines().count() > 1 && text.ends_with('\n')))
         }
