@@ -62,7 +62,7 @@ fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     let outcome = cancelled_later(Duration::from_millis(100), &line, |_| folder.path("report").exists());
     assert!(outcome.err.contains("points that were measured"), "{}", outcome.err);
     outcome.fails(130, &["cancelled"]);
-    assert_eq!(check_whole(&folder.path("report")), 2);
+    assert_eq!(check_whole(&folder.path("report")), 4);
 }
 
 #[test]
