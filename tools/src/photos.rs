@@ -303,9 +303,12 @@ impl Photos for PhotoFiles<'_> {
     }
 
     fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
-        let path = &self.paths[i];
-        self.frames.get(i).map_or_else(|| Image::open(path), |frame| frame.open(path)).map(Cow::Owned)
+        open(&self.paths[i], self.frames.get(i)).map(Cow::Owned)
     }
+}
+
+fn open(path: &Path, frame: Option<&&CaptureView>) -> Result<Image> {
+    frame.map_or_else(|| Image::open(path), |frame| frame.open(path))
 }
 
 /// Reads photos concurrently and maps them with `make`, by index.
@@ -315,14 +318,14 @@ pub fn read<T: Send>(
     stage: &Stage<'_>,
     make: impl Fn(usize, Image) -> Result<T> + Sync,
 ) -> Result<Vec<T>> {
-    let (done, files) = (AtomicUsize::new(0), PhotoFiles { paths: photos, frames, sizes: Vec::new() });
-    let read = |i: usize| {
-        let made = make(i, files.open(i)?.into_owned())?;
+    let done = AtomicUsize::new(0);
+    let read = |(i, path): (usize, &PathBuf)| {
+        let made = make(i, open(path, frames.get(i))?)?;
         let done = 1 + done.fetch_add(1, atomic::Ordering::Relaxed);
         stage.reach(done as f64 / photos.len() as f64)?;
         Ok(made)
     };
-    (0..photos.len()).into_par_iter().map(read).collect::<Vec<_>>().into_iter().collect()
+    photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
 pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {

@@ -34,7 +34,6 @@ use glam::DVec3;
 use growth::padded;
 use photos::PhotoCache;
 use refinement::Refinement;
-use schedule::Schedule;
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
@@ -47,15 +46,15 @@ const HOLD_OUT_FROM: usize = 40;
 const GROWTH_FROM: usize = 50;
 /// Upper limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
-/// Limits of growth by default: pixels of all photos per Gaussian, and its factor. Between these
-/// steps, both increase with the square root of the steps: fewer Gaussians would stop gaining
-/// detail.
+/// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;
 const MOST_GROWTH: f64 = 16.0;
+/// Steps between which these limits allow Gaussians in proportion to the square root of the steps:
+/// fewer Gaussians would stop gaining detail.
 const DETAIL: [usize; 2] = [200, 800];
-/// Growth by a factor makes the mean step slower by this power of it, more Gaussians for more steps
-/// also by this power of their number.
+/// Growth by a factor makes the mean step slower by this power of it.
 const GROWTH_COST: f64 = 0.42;
+/// Additional power for the part of the factor that is due to the steps.
 const DETAIL_COST: f64 = 0.35;
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
 const ENOUGH_STEPS: u32 = 150;
@@ -225,10 +224,7 @@ fn run(
     let mut options = filled(options, count)?;
     let (arena, _claim) = arena.claimed();
     let cache = |options: &RefineOptions| {
-        let shortest = sizes(photos, options.max_image_size).flatten().min().unwrap_or(0);
-        let schedule = Schedule { steps: 1, rate: 1.0, coarse: options.coarse_to_fine };
-        let factors = schedule.phases(shortest).into_iter().map(|(_, factor)| factor).collect();
-        PhotoCache::new(photos, options.max_image_size, factors, options.max_photo_bytes)
+        PhotoCache::new(photos, options.max_image_size, options.coarse_to_fine, options.max_photo_bytes)
     };
     let mut cached = cache(&options);
     let refinement = |options: RefineOptions, steps: usize, cached| {
@@ -236,7 +232,7 @@ fn run(
         Refinement::new(gaussians, scene, cached, cameras, options, steps)
     };
     let grow = |options: &RefineOptions, steps: usize| {
-        len.and_then(|len| grown_len(options, steps, len, sizes(photos, options.max_image_size)))
+        len.and_then(|len| grown_len(options, steps, len, sizes(photos, options.max_image_size, 1)))
     };
     let probe = |options: &RefineOptions, cached| {
         refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1, cached)
@@ -274,8 +270,8 @@ fn run(
     refinement(options, steps, cached)?.finish(&mut progress, begin)
 }
 
-fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>) -> impl Iterator<Item = [u32; 2]> {
-    (0..photos.count()).map(move |i| fitted(photos.size(i), most, 1))
+fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>, factor: u32) -> impl Iterator<Item = [u32; 2]> {
+    (0..photos.count()).map(move |i| fitted(photos.size(i), most, factor))
 }
 
 /// Returns the most steps with growth in the time of `steps` without.
@@ -295,8 +291,8 @@ fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Opt
 
 /// Returns half the size of the largest photo as it fits `most`, unless too small.
 fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
-    let halves = (0..photos.count()).map(|i| fitted(photos.size(i), most, 2));
-    halves.max_by_key(|[width, height]| width * height).filter(|half| half.iter().all(|side| *side >= SHORTEST))
+    let largest = sizes(photos, most, 2).max_by_key(|[width, height]| width * height);
+    largest.filter(|half| half.iter().all(|side| *side >= SHORTEST))
 }
 
 fn filled(options: &RefineOptions, count: usize) -> Result<RefineOptions> {

@@ -1,4 +1,7 @@
-use super::views::{View, fitted, resized};
+use super::{
+    schedule::phases,
+    views::{View, fitted, resized},
+};
 use crate::{
     Error, Result,
     types::{Camera, Image, resample::resize_lanczos},
@@ -41,9 +44,9 @@ pub(super) type Rgb = Arc<Vec<u8>>;
 
 /// Photos at the sizes of the coarse-to-fine phases. Results are independent of the limit.
 pub(super) struct PhotoCache<'a> {
-    pub photos: &'a dyn Photos,
+    photos: &'a dyn Photos,
     max_size: Option<[u32; 2]>,
-    factors: Vec<u32>,
+    coarse: bool,
     /// Bytes left for further photos.
     left: u64,
     /// By photo and downscaling factor.
@@ -53,22 +56,31 @@ pub(super) struct PhotoCache<'a> {
 }
 
 impl<'a> PhotoCache<'a> {
-    /// Photos fit `max_size`, then are downscaled by `factors`.
-    pub fn new(photos: &'a dyn Photos, max_size: Option<[u32; 2]>, factors: Vec<u32>, max_bytes: u64) -> Self {
-        Self { photos, max_size, factors, left: max_bytes, kept: HashMap::new(), ahead: HashMap::new() }
+    /// Photos fit `max_size`. If `coarse`, large ones are also downscaled.
+    pub fn new(photos: &'a dyn Photos, max_size: Option<[u32; 2]>, coarse: bool, max_bytes: u64) -> Self {
+        Self { photos, max_size, coarse, left: max_bytes, kept: HashMap::new(), ahead: HashMap::new() }
     }
 
     pub fn size(&self, i: usize, factor: u32) -> [u32; 2] {
         fitted(self.photos.size(i), self.max_size, factor)
     }
 
+    /// Returns a photo's camera at a downscaling factor.
+    pub fn camera(&self, i: usize, camera: &Camera, factor: u32) -> Result<Camera> {
+        resized(i, camera, self.photos.size(i), self.size(i, factor))
+    }
+
+    fn factors(&self, i: usize) -> Vec<u32> {
+        let [width, height] = self.size(i, 1);
+        phases(self.coarse, width.min(height)).map(|(_, factor)| factor).collect()
+    }
+
     /// Returns photos `now` with their cameras, as [`PhotoCache::get`].
     pub fn views(&mut self, cameras: &[Camera], now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<View>> {
         let found = self.get(now, soon, factor)?;
         let view = |(photo, rgb): (&usize, Rgb)| {
-            let size = self.size(*photo, factor);
-            let camera = resized(*photo, &cameras[*photo], self.photos.size(*photo), size)?;
-            Ok(View { photo: *photo, size, rgb, camera })
+            let camera = self.camera(*photo, &cameras[*photo], factor)?;
+            Ok(View { photo: *photo, size: self.size(*photo, factor), rgb, camera })
         };
         now.iter().zip(found).map(view).collect()
     }
@@ -101,7 +113,7 @@ impl<'a> PhotoCache<'a> {
     /// Opens photos and whether to keep them.
     fn open_all(&mut self, photos: Vec<(usize, bool)>, factor: u32) -> Result<()> {
         let opened = photos.into_par_iter().map(|(photo, keep)| {
-            let photos = self.open(photo, if keep { &self.factors } else { std::slice::from_ref(&factor) })?;
+            let photos = self.open(photo, if keep { self.factors(photo) } else { vec![factor] })?;
             Ok((keep, photos))
         });
         for (keep, photos) in opened.collect::<Result<Vec<_>>>()? {
@@ -116,13 +128,13 @@ impl<'a> PhotoCache<'a> {
     }
 
     fn reserve(&mut self, photo: usize) -> bool {
-        let bytes = |factor: &u32| self.size(photo, *factor).into_iter().map(u64::from).product::<u64>() * 3;
-        let left = self.left.checked_sub(self.factors.iter().map(bytes).sum());
+        let bytes = |factor: u32| 3 * self.size(photo, factor).into_iter().map(u64::from).product::<u64>();
+        let left = self.left.checked_sub(self.factors(photo).into_iter().map(bytes).sum());
         self.left = left.unwrap_or(self.left);
         left.is_some()
     }
 
-    fn open(&self, i: usize, factors: &[u32]) -> Result<Vec<((usize, u32), Rgb)>> {
+    fn open(&self, i: usize, factors: Vec<u32>) -> Result<Vec<((usize, u32), Rgb)>> {
         let photo = self.photos.open(i)?;
         photo.validate()?;
         let ([width, height], expected) = ([photo.width, photo.height], self.photos.size(i));
@@ -130,11 +142,11 @@ impl<'a> PhotoCache<'a> {
             let expected = format!("{} x {}, as before", expected[0], expected[1]);
             return Err(Error::argument(format!("size of photo {i}"), format!("{width} x {height}"), expected));
         }
-        let at = |factor: &u32| {
-            let [width, height] = self.size(i, *factor);
-            Ok(((i, *factor), Arc::new(resize_lanczos(photo.as_ref(), width, height)?.rgb)))
+        let at = |factor: u32| {
+            let [width, height] = self.size(i, factor);
+            Ok(((i, factor), Arc::new(resize_lanczos(photo.as_ref(), width, height)?.rgb)))
         };
-        factors.iter().map(at).collect()
+        factors.into_iter().map(at).collect()
     }
 }
 
@@ -162,10 +174,11 @@ mod tests {
 
     #[test]
     fn photos_are_the_same_with_any_memory() {
-        let photo = |i: u8| Image::new(8, 4, (0..96u8).map(|k| k.wrapping_mul(i)).collect()).expect("a photo");
+        let photo = |i: u8| Image::new(240, 192, vec![40 * i; 3 * 240 * 192]).expect("a photo");
         let photos = Counted((0..6).map(photo).collect(), AtomicUsize::new(0));
-        let used = |max_bytes: u64| {
-            let mut cache = PhotoCache::new(&photos, None, vec![2, 1], max_bytes);
+        let bytes = |factor: usize| 3 * (240 / factor) * (192 / factor);
+        let used = |max_bytes: usize| {
+            let mut cache = PhotoCache::new(&photos, None, true, max_bytes as u64);
             photos.1.store(0, Ordering::Relaxed);
             let mut found = Vec::new();
             for (now, soon, factor) in
@@ -176,11 +189,10 @@ mod tests {
             }
             (found, photos.1.load(Ordering::Relaxed))
         };
-        let (all, opened) = used(u64::MAX);
-        assert_eq!((all[0].len(), all[4].len()), (3 * 4 * 2, 96));
-        assert_eq!(*all[4], photos.0[5].rgb);
+        let (all, opened) = used(usize::MAX);
+        assert_eq!((all[0].len(), &*all[4]), (bytes(2), &photos.0[5].rgb));
         assert!((5..=6).contains(&opened), "{opened}");
-        for max_bytes in [0, 120] {
+        for max_bytes in [0, bytes(1) + bytes(2)] {
             let (found, more) = used(max_bytes);
             assert!(found == all && more > opened, "{max_bytes}: {more} of {opened}");
         }

@@ -129,7 +129,7 @@ fn record_steps(
     let schedule = Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine };
     let shortest = photo_size(1).into_iter().min().unwrap_or(0);
     let each = options.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
-    let mut factors: Vec<u32> = (0..steps).map(|step| schedule.shrink(step, shortest)).collect();
+    let mut factors: Vec<u32> = (0..steps).map(|step| schedule.factor(step, shortest)).collect();
     factors.dedup();
     for factor in factors {
         let [width, height] = photo_size(factor);

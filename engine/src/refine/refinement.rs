@@ -6,8 +6,8 @@ use super::{
     growth::{Growth, drop_invisible},
     photos::{PhotoCache, Rgb},
     planned::PhotoLoss,
-    schedule::{Schedule, rate_of_error},
-    views::{Order, View, resized, split},
+    schedule::{Schedule, phases, rate_of_error},
+    views::{Order, View, split},
 };
 use crate::{
     Error, Result,
@@ -77,7 +77,7 @@ impl<'a> Refinement<'a> {
         steps: usize,
     ) -> Result<Self> {
         for (i, camera) in cameras.iter().enumerate() {
-            resized(i, camera, photos.photos.size(i), photos.size(i, 1))?;
+            photos.camera(i, camera, 1)?;
         }
         let (training, holdout) = split(cameras.len(), options.holdout_views.unwrap_or(0));
         let measured: Vec<usize> = training.iter().step_by(training.len().div_ceil(MAX_MEASURED)).copied().collect();
@@ -179,7 +179,9 @@ impl<'a> Refinement<'a> {
                 Err(error) if step > 0 => {
                     self.evaluate(step)?;
                     self.keep();
-                    return Ok(Some(StopReason::Unreadable(error.to_string())));
+                    let cancelled = matches!(error, Error::Cancelled);
+                    let unreadable = || StopReason::Unreadable(error.to_string());
+                    return Ok(Some(if cancelled { StopReason::Cancelled } else { unreadable() }));
                 }
                 Err(error) => return Err(error),
             };
@@ -241,8 +243,7 @@ impl<'a> Refinement<'a> {
         }
         for photo in &self.training {
             if !seen {
-                let size = self.photos.size(*photo, 1);
-                let camera = resized(*photo, &cameras[*photo], self.photos.photos.size(*photo), size)?;
+                let (size, camera) = (self.photos.size(*photo, 1), self.photos.camera(*photo, &cameras[*photo], 1)?);
                 seen = self.gaussians.draw(&View { photo: *photo, size, rgb: Rgb::default(), camera })?.1 > 0;
             }
         }
@@ -263,7 +264,7 @@ impl<'a> Refinement<'a> {
     /// Returns the mean time of a step, from one at each size. Changes the Gaussians' moments.
     pub fn time_step(&mut self) -> Result<Duration> {
         let mut mean = Duration::ZERO;
-        for (fraction, factor) in self.schedule.phases(self.shortest()) {
+        for (fraction, factor) in phases(self.options.coarse_to_fine, self.shortest()) {
             let views = self.first_views(factor)?;
             let views: Vec<&View> = views.iter().collect();
             // The first records and compiles.
@@ -290,7 +291,7 @@ impl<'a> Refinement<'a> {
     }
 
     fn resize(&mut self, step: usize) {
-        let factor = self.schedule.shrink(step, self.shortest());
+        let factor = self.schedule.factor(step, self.shortest());
         if self.factor != factor {
             (self.factor, self.began, self.least, self.latest) = (factor, step, f32::INFINITY, 0.0);
             let largest = self.sizes(factor).max_by_key(|[width, height]| width * height);

@@ -27,19 +27,20 @@ impl Schedule {
         self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
-    /// Returns the fraction of the steps at each downscaling factor.
-    pub fn phases(&self, shortest: u32) -> Vec<(f64, u32)> {
-        let fits = |(_, shrink): &(f64, u32)| self.coarse && shortest >= shrink * SHORTEST;
-        let mut from = 0.0;
-        let mut phase = |(until, shrink)| (until - std::mem::replace(&mut from, until), shrink);
-        COARSE.into_iter().filter(fits).chain([(1.0, 1)]).map(&mut phase).collect()
-    }
-
-    pub fn shrink(&self, step: usize, shortest: u32) -> u32 {
+    /// Returns a step's downscaling factor.
+    pub fn factor(&self, step: usize, shortest: u32) -> u32 {
         let along = step as f64 / self.steps as f64;
-        let fits = |(until, shrink): &&(f64, u32)| self.coarse && along < *until && shortest >= shrink * SHORTEST;
-        COARSE.iter().find(fits).map_or(1, |(_, shrink)| *shrink)
+        let fits = |(until, factor): &&(f64, u32)| self.coarse && along < *until && shortest >= factor * SHORTEST;
+        COARSE.iter().find(fits).map_or(1, |(_, factor)| *factor)
     }
+}
+
+/// Returns the fraction of the steps at each downscaling factor, for this shorter side.
+pub(super) fn phases(coarse: bool, shortest: u32) -> impl Iterator<Item = (f64, u32)> {
+    let fits = move |(_, factor): &(f64, u32)| coarse && shortest >= factor * SHORTEST;
+    let mut from = 0.0;
+    let phase = move |(until, factor)| (until - std::mem::replace(&mut from, until), factor);
+    COARSE.into_iter().filter(fits).chain([(1.0, 1)]).map(phase)
 }
 
 /// Returns the fraction of the rates for a scene of this training PSNR: its error relative to that
@@ -58,12 +59,12 @@ mod tests {
         let schedule = Schedule { steps: 100, rate: 2.0, coarse: true };
         let rates: Vec<f32> = (0..100).map(|step| schedule.rate(step)).collect();
         assert!(rates[0] == 2.0 && (rates[99] - 0.2).abs() < 1e-6 && rates.is_sorted_by(|a, b| a > b));
-        assert_eq!([0, 19, 20, 49, 50, 99].map(|step| schedule.shrink(step, 400)), [4, 4, 2, 2, 1, 1]);
-        assert_eq!([0, 20, 50].map(|step| schedule.shrink(step, 252)), [2, 2, 1]);
-        assert_eq!(schedule.shrink(0, 84), 1);
-        assert_eq!(schedule.phases(400), [(0.2, 4), (0.3, 2), (0.5, 1)]);
-        assert_eq!((schedule.phases(252), schedule.phases(84)), (vec![(0.5, 2), (0.5, 1)], vec![(1.0, 1)]));
-        assert_eq!(Schedule { coarse: false, ..schedule }.shrink(0, 400), 1);
+        assert_eq!([0, 19, 20, 49, 50, 99].map(|step| schedule.factor(step, 400)), [4, 4, 2, 2, 1, 1]);
+        assert_eq!([0, 20, 50].map(|step| schedule.factor(step, 252)), [2, 2, 1]);
+        assert_eq!(schedule.factor(0, 84), 1);
+        assert!(phases(true, 400).eq([(0.2, 4), (0.3, 2), (0.5, 1)]));
+        assert!(phases(true, 252).eq([(0.5, 2), (0.5, 1)]) && phases(true, 84).eq([(1.0, 1)]));
+        assert_eq!(Schedule { coarse: false, ..schedule }.factor(0, 400), 1);
         assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 2.0);
         assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 0.5);
         assert_eq!([12.0, 20.0, 40.0].map(rate_of_error), [1.0, 1.0, 0.1]);

@@ -65,3 +65,17 @@ fn photos_that_vanish_end_the_refinement_with_the_best_scene() {
     let steps = refined.losses.len();
     assert!((1..20).contains(&steps) && (1..=steps).contains(&refined.best_step), "{steps}, {}", refined.best_step);
 }
+
+#[test]
+fn small_photos_that_are_held_out_do_not_change_the_sizes_of_others() {
+    let cameras = [camera(256, 200), camera(48, 36), camera(256, 200)];
+    let (scene, photos) = photos(&cameras);
+    let request = RefineOptions {
+        length: RefineLength::Steps(4),
+        holdout_views: Some(1),
+        max_gaussians: Some(0),
+        ..RefineOptions::default()
+    };
+    let refined = refine(&moved(&scene), &photos, &cameras, &request);
+    assert_eq!((refined.holdout_views, refined.sizes), (vec![1], vec![(0, [128, 100]), (2, [256, 200])]));
+}

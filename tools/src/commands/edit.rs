@@ -63,8 +63,7 @@ const HELP: [&str; 14] = [
     "Drop Gaussians with a larger standard deviation",
     "Drop Gaussians with fewer than N others within RADIUS",
     "Drop Gaussians whose center is in the pictures of fewer than N cameras, occluded or not",
-    "Drop floaters: opacity below 0.02, no other center within 8 times the size, far outside the \
-     pictures of --cameras",
+    "Drop floaters: faint, isolated, or far outside the pictures of --cameras",
     "Lower the degree of spherical harmonics",
     "Merge similar neighbors until N Gaussians, or a fraction, are left",
     "Sort by opacity times the two largest scales, largest first",

@@ -8,9 +8,10 @@ pub use report::{as_json, explain, summary};
 
 use crate::{
     cameras::{Similarity, path_from},
-    session::Session,
+    session::{Session, Stage},
 };
 use std::{
+    borrow::Cow,
     ops::ControlFlow,
     path::{Path, PathBuf},
 };
@@ -22,7 +23,7 @@ use zipsplat::{
         FrozenHead, Photos, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens,
     },
     types::{
-        Camera, PointCloud, Pose, Scene,
+        Camera, Image, PointCloud, Pose, Scene,
         poses::{CaptureView, write_frames},
     },
 };
@@ -42,6 +43,23 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
+/// Photos that are not opened after a cancellation.
+struct Cancellable<'a, P>(P, &'a Stage<'a>);
+
+impl<P: Photos> Photos for Cancellable<'_, P> {
+    fn count(&self) -> usize {
+        self.0.count()
+    }
+
+    fn size(&self, i: usize) -> [u32; 2] {
+        self.0.size(i)
+    }
+
+    fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
+        if self.1.go_on().is_break() { Err(Error::Cancelled) } else { self.0.open(i) }
+    }
+}
+
 /// Cancellation returns the best so far, if any. Notes doubts.
 pub fn refine(
     session: &mut Session<'_>,
@@ -59,6 +77,7 @@ pub fn refine(
             stage.name(&progress_message(&at));
             stage.at(at.step as f64 / at.steps as f64)
         };
+        let photos = Cancellable(photos, stage);
         refined = Some(match from {
             Refinable::Scene(scene) => refine_scene(arena, scene, photos, cameras, request, progress)?,
             Refinable::Tokens(head, tokens) => refine_tokens(arena, head, tokens, photos, cameras, request, progress)?,

@@ -32,9 +32,8 @@ pub enum zs_edit_kind {
     ZS_EDIT_MIN_NEIGHBORS = 8,
     /// Drops Gaussians whose center few cameras' pictures contain: least number of cameras.
     ZS_EDIT_MIN_VIEWS = 9,
-    /// Drops floaters: opacities below 0.02; Gaussians without another center within 8 times their
-    /// largest standard deviation; with cameras also centers outside all their pictures, doubled in
-    /// width and height.
+    /// Drops floaters: faint or isolated Gaussians, with cameras also those far outside their
+    /// pictures.
     ZS_EDIT_CLEAN = 10,
     /// Lowers the degree of spherical harmonics: degree.
     ZS_EDIT_SH_DEGREE = 11,

@@ -58,7 +58,7 @@ pub(super) fn views(scene: &mut Scene, cameras: &[Camera], count: usize) -> Stri
     select(scene, hold, &format!("in the pictures of fewer than {count} cameras"))
 }
 
-/// On refined captures these defaults keep held-out PSNR. A limit of size would drop background.
+/// These limits keep the held-out PSNR of refined captures. One of size would drop background.
 const CLEAN_OPACITY: f64 = 0.02;
 /// Relative to a Gaussian's largest standard deviation, which suits near and far ones.
 const CLEAN_RADIUS: f64 = 8.0;
