@@ -45,7 +45,14 @@ pub fn pareto(points: &[Point]) -> String {
     plot(log("photos to refined Gaussians, ms"), PSNR, meaning.0, &series, Some(&line))
 }
 
-pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
+pub struct Figure {
+    pub heading: &'static str,
+    pub plot: String,
+    /// Whether it is a figure of the paper without times, which repeated sweeps of a device equal.
+    pub is_repeatable: bool,
+}
+
+pub fn figures(sweep: &Sweep) -> Vec<Figure> {
     let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
     let first_pool = sweep.points.first().map_or(1, |p| p.kv_pool);
     let plain = those(&all, |p| !p.is_refined() && p.kv_pool == first_pool);
@@ -60,43 +67,50 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let whole = those(&plain, |p| p.max_gaussians_per_token == keep && p.token_selection == "all");
     let refined = those(&all, |p| p.views == most && p.arithmetic() == first && p.max_gaussians_per_token == keep);
     let refined = those(&refined, |p| (kmeans(p) || p.is_of_points()) && !p.refine.contains(':'));
+    let repeatable = |heading, plot| Figure { heading, plot, is_repeatable: true };
+    let other = |heading, plot| Figure { heading, plot, is_repeatable: false };
+    let (by_gaussians, by_ratio) = (|p: &Point| (p.gaussians as f64, p.psnr), |p: &Point| (p.ratio, p.psnr));
+    let spanned = |p: &Point| (p.ratio, p.views_per_cluster.unwrap_or(f64::NAN));
+    let by_views = |value: fn(&Point) -> f64| move |p: &Point| (p.views as f64, value(p));
     let mut figures = vec![
-        (
+        repeatable(
             "Quality against the number of Gaussians (figure 1)",
-            by(&best, GAUSSIANS, PSNR, CHOSEN, |p| (p.gaussians as f64, p.psnr)),
+            by(&best, GAUSSIANS, PSNR, CHOSEN, by_gaussians),
         ),
-        ("Quality against the budget (figure 8)", by(&ours, GAUSSIANS, PSNR, PHOTOS, |p| (p.gaussians as f64, p.psnr))),
-        ("How tokens are chosen (figure 10, left)", by(&best, SHARE, PSNR, CHOSEN, |p| (p.ratio, p.psnr))),
-        (
+        repeatable("Quality against the budget (figure 8)", by(&ours, GAUSSIANS, PSNR, PHOTOS, by_gaussians)),
+        repeatable("How tokens are chosen (figure 10, left)", by(&best, SHARE, PSNR, CHOSEN, by_ratio)),
+        repeatable(
             "Photos that a cluster spans (figure 10, right)",
-            by(&ours, SHARE, linear("photos a cluster"), PHOTOS, |p| {
-                (p.ratio, p.views_per_cluster.unwrap_or(f64::NAN))
-            }),
+            by(&ours, SHARE, linear("photos a cluster"), PHOTOS, spanned),
         ),
-        ("Time of each stage, every token (figure 11, a)", stages(sweep)),
-        ("Time against photos (figure 11, a)", by(&ours, VIEWS, TIME, RATIO, |p| (p.views as f64, p.forward_ms))),
-        ("Time of each precision, every token", by(&whole, VIEWS, TIME, PRECISION, |p| (p.views as f64, p.forward_ms))),
-        ("Peak of memory (figure 11, b)", by(&ours, VIEWS, log("MiB"), RATIO, |p| (p.views as f64, mib(p.peak_bytes)))),
-        (
+        other("Time of each stage, every token (figure 11, a)", stages(sweep)),
+        other("Time against photos (figure 11, a)", by(&ours, VIEWS, TIME, RATIO, by_views(|p| p.forward_ms))),
+        other("Time of each precision, every token", by(&whole, VIEWS, TIME, PRECISION, by_views(|p| p.forward_ms))),
+        repeatable(
+            "Peak of memory (figure 11, b)",
+            by(&ours, VIEWS, log("MiB"), RATIO, by_views(|p| mib(p.peak_bytes))),
+        ),
+        other(
             "Pictures a second (figure 12, a)",
-            by(&ours, VIEWS, log("pictures a second"), RATIO, |p| (p.views as f64, 1e3 / p.render_ms)),
+            by(&ours, VIEWS, log("pictures a second"), RATIO, by_views(|p| 1e3 / p.render_ms)),
         ),
-        (
+        repeatable(
             "Size of the scene's file (figure 12, b)",
-            by(&ours, VIEWS, log("MiB"), RATIO, |p| (p.views as f64, mib(p.file_bytes))),
+            by(&ours, VIEWS, log("MiB"), RATIO, by_views(|p| mib(p.file_bytes))),
         ),
-        ("Gaussians kept of each token", by(&kept, GAUSSIANS, PSNR, KEPT, |p| (p.gaussians as f64, p.psnr))),
+        other("Gaussians kept of each token", by(&kept, GAUSSIANS, PSNR, KEPT, by_gaussians)),
     ];
     if sweep.points.iter().any(|p| p.kv_pool != first_pool) {
         let pooled = those(&all, |p| {
             !p.is_refined() && p.max_gaussians_per_token == keep && p.arithmetic() == first && kmeans(p)
         });
         let pooled = those(&pooled, |p| Some(&p.asked_ratio) == sweep.points.first().map(|p| &p.asked_ratio));
-        figures.push(("Patches that attention sees as one", by(&pooled, TIME, PSNR, POOL, |p| (p.forward_ms, p.psnr))));
+        let plot = by(&pooled, TIME, PSNR, POOL, |p| (p.forward_ms, p.psnr));
+        figures.push(other("Patches that attention sees as one", plot));
     }
     if sweep.points.iter().any(Point::is_refined) {
         let plot = by(&refined, log("photos to refined Gaussians, ms"), PSNR, RATIO, |p| (p.total_ms, p.psnr));
-        figures.insert(0, ("Steps of refinement, from left to right (section 4.2)", plot));
+        figures.insert(0, other("Steps of refinement, from left to right (section 4.2)", plot));
     }
     figures
 }

@@ -158,13 +158,16 @@ impl Tradeoff {
         let (sweep, cancelled) = sweep::run(self, session, &device, networks, &captures, &clouds)?;
 
         outputs::make_folder(&self.output)?;
-        let (pareto, mut figures) = (figures::pareto(&sweep.points), figures::figures(&sweep));
+        let (pareto, figures) = (figures::pareto(&sweep.points), figures::figures(&sweep));
         let (name, weights) = (&device.limits().name, checkpoint.provenance());
         let page = page::page(self, name, weights, &captures, &sweep, &pareto, &figures)?;
-        // Without times, every run on a device writes the same sheet.
-        figures.retain(|(heading, _)| heading.contains("(figure") && !heading.ends_with(", a)"));
+        let repeatable: Vec<(&str, String)> = figures
+            .into_iter()
+            .filter(|figure| figure.is_repeatable)
+            .map(|figure| (figure.heading, figure.plot))
+            .collect();
         write_atomic(&html, |out| out.write_all(page.as_bytes()))?;
-        for (path, svg) in [(&svg, pareto), (&sheet, plot::sheet(&figures))] {
+        for (path, svg) in [(&svg, pareto), (&sheet, plot::sheet(&repeatable))] {
             write_atomic(path, |out| write!(out, "<!-- zipsplat -->\n{svg}"))?;
         }
         outputs::save_csv(&csv, &sweep.points)?;

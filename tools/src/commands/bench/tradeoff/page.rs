@@ -1,5 +1,6 @@
 use super::{
-    Tradeoff, figures,
+    Tradeoff,
+    figures::{self, Figure},
     point::{Point, front, recommended},
     sweep::Sweep,
 };
@@ -26,7 +27,7 @@ pub fn page(
     captures: &[ViewSplit],
     sweep: &Sweep,
     pareto: &str,
-    figures: &[(&str, String)],
+    figures: &[Figure],
 ) -> Result<String> {
     let points = &sweep.points;
     let pictures: Vec<String> =
@@ -57,7 +58,7 @@ pub fn page(
     html += "<h2>The front</h2>";
     html += &table(points, front(points).into_iter(), &[]);
     html += "<h2>One setting at a time</h2><div class=\"figures\">";
-    html += &figures.iter().map(|(heading, plot)| figure(heading, plot)).collect::<String>();
+    html += &figures.iter().map(|one| figure(one.heading, &one.plot)).collect::<String>();
     html += "</div>";
     let deviations = figures::deviations(points);
     if !deviations.is_empty() {
