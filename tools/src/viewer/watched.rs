@@ -108,7 +108,7 @@ impl Watched {
 
     fn tell(&self, at: &RefineProgress<'_>) {
         let mut now = self.now();
-        now.step = at.step;
+        (now.step, now.steps) = (at.step, at.steps);
         now.seconds_left = at.eta.as_secs_f64();
         now.losses.extend(at.loss);
         if at.psnr != now.psnr.last().map(|(_, psnr)| *psnr) {
