@@ -55,8 +55,10 @@ pub(super) struct Gaussians {
     gradients: Gradients,
     options: RefineOptions,
     clear: Run,
+    /// Also clears the gradients.
     update: Run,
     schedule: Tensor,
+    cleared: bool,
     lpips: Option<LpipsWeights>,
     steps: u32,
     plans: PlanCache<(), PhotoPlan>,
@@ -123,8 +125,9 @@ impl Gaussians {
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
             options: options.clone(),
             clear,
-            update,
+            update: update.in_flight()?,
             schedule,
+            cleared: false,
             lpips,
             steps: 0,
             plans: PlanCache::new(limits, capacity),
@@ -136,7 +139,9 @@ impl Gaussians {
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
         let found = loop {
-            self.clear.execute()?;
+            if !self.cleared {
+                self.clear.execute()?;
+            }
             if let Some(found) = self.add_all(&views)? {
                 break found;
             }
@@ -144,6 +149,7 @@ impl Gaussians {
         self.steps += 1;
         self.update.write(self.schedule, &ADAM.schedule(rate, self.steps))?;
         self.update.execute()?;
+        self.cleared = true;
         Ok(found)
     }
 
@@ -189,6 +195,7 @@ impl Gaussians {
 
     /// Runs the plan of photos of one size. Returns `None` after an overflow; the next is larger.
     fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
+        self.cleared &= !backward;
         let plan = self.plan(views, backward)?;
         plan.write(views)?;
         plan.run.execute()?;
@@ -210,7 +217,8 @@ impl Gaussians {
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
-            Ok(PhotoPlan { run, recorded })
+            // Staging saves a wait per input and output.
+            Ok(PhotoPlan { run: run.in_flight()?, recorded })
         })
     }
 
@@ -294,8 +302,12 @@ pub(super) fn filling(
     fills: impl Iterator<Item = (Tensor, f32)>,
 ) -> Result<Run> {
     let mut rec = Recorder::new(arena.device().limits());
-    fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
+    record_fills(&mut rec, fills);
     Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])
+}
+
+pub(super) fn record_fills(rec: &mut Recorder, fills: impl Iterator<Item = (Tensor, f32)>) {
+    fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
 }
 
 fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
@@ -309,5 +321,6 @@ fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Ru
     let Field { values: scales, len, rate, .. } = &fields[1];
     let rate = LIMIT_RATE * rate.first;
     rec.scope("anisotropy", |rec| record_anisotropy_limit(rec, *scales, schedule, MAX_ANISOTROPY, rate, len / 3));
+    record_fills(&mut rec, fields.iter().map(|field| (field.gradient, field.penalty)));
     Ok((Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])?, schedule))
 }
