@@ -3,6 +3,7 @@
 //
 // A scene has `count` Gaussians in the engine's axes: means [N, 3], scales [N, 3] linear, quats [N,
 // 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest` [N, K - 1, 3], half floats.
+// `antialiased` scenes have opacities for the renderer's compensation of its blur.
 // Errors are for the user.
 
 const SH_0 = 0.2820947917738781;
@@ -18,7 +19,7 @@ function half(value) {
 }
 
 function emptyScene(count, degree) {
-    const scene = { count, degree };
+    const scene = { count, degree, antialiased: false };
     for (const [name, width] of [["means", 3], ["scales", 3], ["quats", 4], ["opacities", 1], ["colors", 3]])
         scene[name] = new Float32Array(count * width);
     scene.rest = new Uint16Array(count * 3 * ((degree + 1) ** 2 - 1));
@@ -37,12 +38,15 @@ function plyHeader(bytes) {
     const text = new TextDecoder("latin1").decode(bytes.subarray(0, 1 << 16));
     const end = /(^|\n)end_header\r?\n/.exec(text);
     if (!end) throw new Error("The PLY's header has no end: the file is cut off or no PLY.");
-    const header = { start: end.index + end[0].length, count: 0, row: 0, properties: new Map() };
+    const header = { start: end.index + end[0].length, count: 0, row: 0, properties: new Map(), antialiased: false };
     let element = null;
     for (const line of text.slice(0, end.index).split(/\r?\n/)) {
         const [word, ...rest] = line.trim().split(/\s+/);
         if (word === "format" && rest[0] !== "binary_little_endian")
             throw new Error(`The PLY is ${rest[0]}: this page reads binary_little_endian, which zipsplat convert writes.`);
+        // Tags of Brush and Postshot.
+        const tag = word === "comment" && rest.length === 2 && rest.join(" ").toLowerCase();
+        if (/^(splatrendermode:|antialiased) /.test(tag)) header.antialiased = /^(splatrendermode: mip|antialiased 1)$/.test(tag);
         if (word === "element") {
             if (element === null && rest[0] !== "vertex")
                 throw new Error(`The PLY begins with ${rest[0]}s: zipsplat convert makes a PLY that this page reads.`);
@@ -60,7 +64,7 @@ function plyHeader(bytes) {
 }
 
 function readPly(bytes, progress) {
-    const { start, count, row, properties } = plyHeader(bytes);
+    const { start, count, row, properties, antialiased } = plyHeader(bytes);
     const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
         "rot_0", "rot_1", "rot_2", "rot_3"];
     const missing = names.filter(name => !properties.has(name));
@@ -81,7 +85,7 @@ function readPly(bytes, progress) {
     };
     const [x, y, z, r, g, b, opacity, s0, s1, s2, ...rot] = names.map(reader);
     const rest = Array.from({ length: 3 * perChannel }, (_, j) => reader(`f_rest_${j % 3 * perChannel + Math.floor(j / 3)}`));
-    const scene = emptyScene(count, degree), fields = [[scene.means, [x, y, z]], [scene.quats, rot]];
+    const scene = { ...emptyScene(count, degree), antialiased }, fields = [[scene.means, [x, y, z]], [scene.quats, rot]];
     for (let i = 0; i < count; ++i) {
         for (const [field, readers] of fields)
             for (let j = 0; j < readers.length; ++j) field[i * readers.length + j] = readers[j](i);
@@ -139,7 +143,7 @@ async function readSpz(packed, progress) {
     const sections = [9, 1, 3, 3, rotationBytes, rest].map(width => bytes.subarray(end, end += width * count));
     if (end > bytes.length) throw new Error(`The SPZ is cut off: ${count} Gaussians take ${end} bytes, it has ${bytes.length}.`);
     const [positions, alphas, colors, scales, rotations, harmonics] = sections;
-    const scene = emptyScene(count, degree), signs = Array.from({ length: rest / 3 }, (_, k) => aboutX(k + 1));
+    const scene = { ...emptyScene(count, degree), antialiased: Boolean(bytes[14] & 1) }, signs = Array.from({ length: rest / 3 }, (_, k) => aboutX(k + 1));
     const quat = [0, 0, 0, 0];
     for (let i = 0; i < count; ++i) {
         for (let j = 0; j < 3; ++j) {
@@ -233,7 +237,7 @@ async function readSog(bytes, progress, decoded = texels) {
     const of = async names => Promise.all(names.map(name => picture(name, count)));
     const [low, high, sizes, turns, colors] = await of([...means.files, ...scales.files, ...quats.files, ...sh0.files]);
     progress(0.5);
-    const scene = emptyScene(count, degree);
+    const scene = { ...emptyScene(count, degree), antialiased: meta.model === "antialiased" };
     for (let i = 0; i < count; ++i) {
         const quat = [0, 1, 2].map(j => (turns[4 * i + j] / 127.5 - 1) * Math.SQRT1_2);
         quat.splice(turns[4 * i + 3] - 252, 0, Math.sqrt(Math.max(0, 1 - quat.reduce((sum, q) => sum + q * q, 0))));

@@ -31,6 +31,7 @@ uniform mat3 view;
 uniform vec3 eye;
 uniform vec2 focal, size;
 uniform float near;
+uniform bool antialiased;
 uniform int degree, show, hovered; // the token that is pointed at; -1: none
 uniform uint group; // Gaussians of a token
 layout(location = 0) out uvec4 ellipse;
@@ -112,6 +113,8 @@ void main() {
     // The determinant as a sum of squares, which does not cancel for needles.
     vec3 minors = cross(u, v);
     float det = dot(minors, minors) + BLUR * (dot(u, u) + dot(v, v)) + BLUR * BLUR;
+    if (antialiased) opacity *= sqrt(dot(minors, minors) / det);
+    if (opacity < ALPHA_MIN) return;
     float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
     float reach = 2.0 * log(255.0 * opacity);
     vec2 center = focal * p.xy / p.z + half_size, radii = sqrt(reach * vec2(xx, yy));
@@ -121,7 +124,7 @@ void main() {
     vec2 axis = tilt >= 0.0 ? vec2(tilt + spread, xy) : vec2(xy, spread - tilt);
     axis = spread > 0.0 ? normalize(axis) : vec2(1, 0);
     ellipse = floatBitsToUint(vec4(center, sqrt(longest) * axis));
-    short_axis = uvec4(floatBitsToUint(sqrt(det / longest) * vec2(-axis.y, axis.x)), index, first.w);
+    short_axis = uvec4(floatBitsToUint(sqrt(det / longest) * vec2(-axis.y, axis.x)), index, floatBitsToUint(opacity));
 
     vec3 value = uintBitsToFloat(third.xyz);
     if (show == 1) value = vec3(p.z);
@@ -268,7 +271,7 @@ class Renderer {
     }
 
     // Scene packed by the worker.
-    upload({ count, degree, near, gaussians, harmonics }) {
+    upload({ count, degree, antialiased, near, gaussians, harmonics }) {
         const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
         const texture = (texels, format = gl.RGBA32UI) => {
             const height = Math.max(1, Math.ceil(texels / TEXTURE_WIDTH));
@@ -280,7 +283,7 @@ class Renderer {
             gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
             return texture;
         };
-        const scene = { count, degree, near, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
+        const scene = { count, degree, antialiased, near, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
         this.fill(scene.gaussians, gaussians, 4);
         this.fill(scene.harmonics, harmonics, 4);
         scene.order = texture(count, gl.R32UI);
@@ -368,6 +371,7 @@ class Renderer {
         gl.uniform2f(uniforms.size, width, height);
         gl.uniform1f(uniforms.near, scene.near);
         gl.uniform1i(uniforms.degree, scene.degree);
+        gl.uniform1i(uniforms.antialiased, scene.antialiased);
         gl.uniform1i(uniforms.show, SHOWN[shown]);
         gl.uniform1ui(uniforms.group, group);
         gl.uniform1i(uniforms.hovered, hovered);

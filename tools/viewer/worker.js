@@ -2,7 +2,8 @@
 //
 // In: { load, bytes, name, view } and { sort, view }: scene numbers, and the view's line of sight
 // and eye (optional for load). Out: { load, progress }, { load, failed } with a message, { load,
-// count, degree, dropped, faint, near, gaussians, harmonics, sample, order } and { sort, order }.
+// count, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order } and { sort,
+// order }.
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
@@ -56,13 +57,13 @@ async function load(id, buffer, name, view) {
     const progress = fraction => postMessage({ load: id, progress: fraction });
     const scene = await readScene(new Uint8Array(buffer), name, progress);
     if (!scene.count) throw new Error("The scene has no Gaussians.");
-    const { gaussians, harmonics, dropped } = pack(scene), { count, degree, means, opacities } = scene;
+    const { gaussians, harmonics, dropped } = pack(scene), { count, degree, antialiased, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
     const sample = sampled(scene), near = nearPlane(sample, scene.scales);
     scenes.set(id, { means, count, opacities, near, depths: new Float32Array(count), indices: new Uint32Array(count) });
     const faint = opacities.reduce((sum, opacity) => sum + !(opacity >= FAINTEST), 0);
     const order = view && sorted(scenes.get(id), view);
-    postMessage({ load: id, count, degree, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
+    postMessage({ load: id, count, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
 const counts = [new Uint32Array(65536), new Uint32Array(65536)];
