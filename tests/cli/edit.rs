@@ -72,8 +72,8 @@ fn the_antialiased_tag_is_kept_set_and_merged_only_with_itself() {
     assert!(folder.run("convert @/b.ply").success().contains("degree 0, antialiased"));
     for line in ["convert @/b.ply @/c.spz", "convert @/c.spz @/c.sog", "edit @/c.sog --scale 2 -o @/c.ply"] {
         let outcome = folder.run(line);
-        outcome.success();
         assert!(!outcome.err.contains("antialiased"), "{line}: {}", outcome.err);
+        outcome.success();
     }
     assert!(antialiased("c.spz") && antialiased("c.sog") && antialiased("c.ply"));
     assert!(

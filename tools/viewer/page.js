@@ -28,6 +28,7 @@ class Page {
         this.path = new Path(this);
         this.live = new Live(this);
         this.refining = new Refining(this);
+        this.edit = new Edit(this);
         this.buttons();
         addEventListener("resize", () => this.change());
         this.canvas.addEventListener("webglcontextlost", event => {
@@ -56,6 +57,7 @@ class Page {
         else this.say(scene.drawable ? "" : `${scene.name}: loading`);
         if (!this.home) this.reset();
         this.tokens.leave();
+        this.edit.enter();
         this.label();
         this.change();
     }
@@ -127,6 +129,8 @@ class Page {
 
     answered(data) {
         const scene = this.scenes[data.load ?? data.sort];
+        if (data.edit !== undefined) return this.edit.answered(data);
+        if (data.save !== undefined) return this.edit.saved(data);
         if (data.progress !== undefined) scene.drawable || this.say(`${scene.name}: reading, ${Math.floor(100 * data.progress)} %`);
         else if (data.failed) this.failed(data.load, data.failed);
         else if (data.gaussians) this.loaded(data.load, data);
@@ -147,16 +151,16 @@ class Page {
             return this.failed(index, error.message);
         }
         if (before) this.renderer.release(before);
-        Object.assign(scene, { count: data.count, sample: data.sample, faint: data.faint, near: data.near, failed: null, sortedFor: data.view }, scene.next);
+        Object.assign(scene, { count: data.count, sample: data.sample, faint: data.faint, near: data.near, edits: 0, failed: null, sortedFor: data.view }, scene.next);
         if (data.order) this.renderer.sort(scene.drawable, data.order);
         scene.done?.();
-        element("save-scene").disabled = false;
         if (index === this.current) {
             this.say(data.dropped ? `${counted(data.dropped, "Gaussian")} left out: their values are not finite.` : "");
             if (data.dropped) setTimeout(() => this.say(""), 4000);
         }
         if (!this.home) this.reset();
         if (index === this.current && before) this.tokens.leave();
+        if (index === this.current) this.edit.enter();
         this.label();
         this.change();
     }
@@ -198,7 +202,7 @@ class Page {
         requestAnimationFrame(now => this.draw(now));
     }
 
-    draw(now) {
+    draw(now, marked = this.edit.marked) {
         this.waiting = false;
         const moving = now - this.moved < REST, { canvas, camera, scene } = this;
         this.measure(now, moving);
@@ -207,7 +211,7 @@ class Page {
         this.order(scene);
         if (!moving) this.overlay.compare(scene);
         this.renderer.resize(width, height, this.views.shown);
-        this.renderer.draw(scene?.drawable, camera, this.background, this.views.drawn());
+        this.renderer.draw(scene?.drawable, camera, this.background, { ...this.views.drawn(), volume: marked });
         this.overlay.draw();
         element("fov").value = camera.fov;
         element("fov-value").textContent = `${Math.round(camera.fov)}°`;
@@ -272,11 +276,6 @@ class Page {
         this.choose(this.scenes.length - 1);
     }
 
-    saveScene() {
-        const { scene } = this, blob = scene.file ?? scene.blob;
-        if (blob) this.download(scene.file?.name ?? `${this.stem}${scene.extension}`, blob);
-    }
-
     download(name, blob) {
         const link = document.createElement("a");
         link.href = URL.createObjectURL(blob);
@@ -288,7 +287,7 @@ class Page {
     // The page clears a shown picture.
     picture() {
         this.moved = 0;
-        this.draw(performance.now());
+        this.draw(performance.now(), null);
         this.canvas.toBlob(blob => this.download(`${this.stem}.png`, blob));
     }
 
@@ -296,6 +295,8 @@ class Page {
         const toggle = id => () => {
             for (const section of document.querySelectorAll("section"))
                 section.hidden = section.id !== id || !section.hidden;
+            this.edit.enter();
+            this.change();
         };
         const full = () => document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen?.();
         const looks = () => element("looks").checked = this.controls.looks = !this.controls.looks;
@@ -305,12 +306,12 @@ class Page {
             open: ["KeyO", () => element("file").click()], "help-button": ["KeyH", toggle("help")],
             "show-cameras": ["KeyC", () => this.overlay.toggle()],
             previous: ["Comma", () => step(-1)], next: ["Period", () => step(1)], "settings-button": [null, toggle("settings")],
-            "path-button": [null, toggle("path")], "save-scene": [null, () => this.saveScene()],
+            "path-button": [null, toggle("path")], "edit-button": ["KeyX", toggle("edit")],
         };
         const keys = {
             KeyL: looks, Slash: toggle("help"), KeyK: () => (this.path.keep(), element("path").hidden = false), Space: () => this.path.play(),
             BracketLeft: () => this.choose(this.current - 1), BracketRight: () => this.choose(this.current + 1),
-            Escape: () => document.querySelectorAll("section").forEach(section => section.hidden = true),
+            Escape: toggle(null),
         };
         Object.keys(SHOWN).forEach((shown, i) => keys[`Digit${i + 1}`] = () => this.views.show(shown));
         for (const [id, [key, act]] of Object.entries(actions)) {
