@@ -85,7 +85,7 @@ export class Tab {
     async settled() {
         await this.page.waitForFunction(() => {
             const { scene, waiting } = globalThis.zipsplat ?? {};
-            return scene?.failed || scene?.drawable?.drawn && !scene.sorting && !waiting;
+            return scene?.failed || scene?.drawable?.drawn && !scene.partial && !scene.sorting && !waiting;
         }, { timeout: 300_000 });
     }
 

@@ -26,7 +26,10 @@ class Edit {
         });
     }
 
-    get shown() { return !element("edit").hidden && Boolean(this.page.scene?.drawable); }
+    get shown() { return !element("edit").hidden && this.ready; }
+
+    // A part of a scene that is still arriving is not edited.
+    get ready() { return Boolean(this.page.scene?.drawable) && !this.page.scene.partial; }
 
     // For the shader, while it is shown.
     get marked() { return this.shown ? this.volume : null; }
@@ -34,8 +37,8 @@ class Edit {
     // After a change of the scene or the panel.
     enter() {
         const { scene } = this.page;
-        element("save-scene").disabled = !scene?.drawable;
-        if (!scene?.drawable) return;
+        element("save-scene").disabled = !this.ready;
+        if (!this.ready) return;
         if (scene !== this.scene) element("kind").value = /\.spz$/i.test(scene.file?.name ?? scene.extension) ? "spz" : "ply";
         this.scene = scene;
         if (!this.shown) return;

@@ -63,8 +63,10 @@ function plyHeader(bytes) {
     return header;
 }
 
-function readPly(bytes, progress) {
-    const { start, count, row, properties, antialiased } = plyHeader(bytes);
+// Reads the rows that are there, of `all`, unless the file is `whole`.
+async function readPly(bytes, progress, whole = true) {
+    const { start, count: all, row, properties, antialiased } = plyHeader(bytes);
+    const count = whole ? all : Math.min(all, Math.floor((bytes.length - start) / row));
     const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
         "rot_0", "rot_1", "rot_2", "rot_3"];
     const missing = names.filter(name => !properties.has(name));
@@ -75,9 +77,9 @@ function readPly(bytes, progress) {
     while (properties.has(`f_rest_${3 * perChannel}`)) ++perChannel;
     const degree = [0, 3, 8, 15].indexOf(perChannel);
     if (degree < 0) throw new Error(`The PLY has ${3 * perChannel} coefficients f_rest, where 0, 9, 24 or 45 are usual.`);
-    const view = new DataView(bytes.buffer, bytes.byteOffset), all = [...properties.values()];
+    const view = new DataView(bytes.buffer, bytes.byteOffset), columns = [...properties.values()];
     // Fast path for float-only files.
-    const values = all.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
+    const values = columns.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
     const reader = name => {
         const { at, read } = properties.get(name);
         if (values) return i => values[(i * row + at) / 4];
@@ -85,7 +87,7 @@ function readPly(bytes, progress) {
     };
     const [x, y, z, r, g, b, opacity, s0, s1, s2, ...rot] = names.map(reader);
     const rest = Array.from({ length: 3 * perChannel }, (_, j) => reader(`f_rest_${j % 3 * perChannel + Math.floor(j / 3)}`));
-    const scene = { ...emptyScene(count, degree), antialiased }, fields = [[scene.means, [x, y, z]], [scene.quats, rot]];
+    const scene = { ...emptyScene(count, degree), all, antialiased }, fields = [[scene.means, [x, y, z]], [scene.quats, rot]];
     for (let i = 0; i < count; ++i) {
         for (const [field, readers] of fields)
             for (let j = 0; j < readers.length; ++j) field[i * readers.length + j] = readers[j](i);
@@ -93,7 +95,7 @@ function readPly(bytes, progress) {
         scene.scales.set([Math.exp(s0(i)), Math.exp(s1(i)), Math.exp(s2(i))], 3 * i);
         scene.opacities[i] = 1 / (1 + Math.exp(-opacity(i)));
         for (let j = 0; j < rest.length; ++j) scene.rest[i * rest.length + j] = half(rest[j](i));
-        if (i % 65536 === 0) progress(i / count);
+        if (i % 65536 === 0) await progress(i / count);
     }
     return scene;
 }
@@ -170,12 +172,12 @@ async function readSpz(packed, progress) {
         scene.quats.set([quat[3], quat[0], -quat[1], -quat[2]], 4 * i);
         for (let j = 0; j < rest; ++j)
             scene.rest[i * rest + j] = half(signs[Math.floor(j / 3)] * (harmonics[i * rest + j] - 128) / 128);
-        if (i % 65536 === 0) progress(0.3 + 0.7 * i / count);
+        if (i % 65536 === 0) await progress(0.3 + 0.7 * i / count);
     }
     return scene;
 }
 
-function readSplat(bytes, progress) {
+async function readSplat(bytes, progress) {
     if (bytes.length % 32) throw new Error(`The .splat is cut off: ${bytes.length} bytes are no multiple of 32.`);
     const count = bytes.length / 32, scene = emptyScene(count, 0), view = new DataView(bytes.buffer, bytes.byteOffset);
     for (let i = 0; i < count; ++i) {
@@ -186,7 +188,7 @@ function readSplat(bytes, progress) {
         }
         scene.opacities[i] = bytes[32 * i + 27] / 255;
         for (let j = 0; j < 4; ++j) scene.quats[4 * i + j] = (bytes[32 * i + 28 + j] - 128) / 128;
-        if (i % 65536 === 0) progress(i / count);
+        if (i % 65536 === 0) await progress(i / count);
     }
     return scene;
 }
@@ -257,7 +259,7 @@ async function readSog(bytes, progress, decoded = texels) {
     for (let i = 0; i < count; ++i) {
         const entry = labels[4 * i] + 256 * labels[4 * i + 1];
         for (let j = 0; j < 3 * width; ++j) scene.rest[3 * width * i + j] = codes[entries[4 * (entry * width + Math.floor(j / 3)) + j % 3]];
-        if (i % 65536 === 0) progress(0.5 + 0.5 * i / count);
+        if (i % 65536 === 0) await progress(0.5 + 0.5 * i / count);
     }
     return scene;
 }
@@ -299,7 +301,7 @@ function gltfNumbers({ accessors, bufferViews }, buffers, index, width) {
     return { count, at: (i, c = 0) => Math.max(view[read](start + i * stride + c * size, true) * scale, accessor.normalized ? -1 : -Infinity) };
 }
 
-function readGltf(bytes, progress) {
+async function readGltf(bytes, progress) {
     const [document, buffers] = gltfParts(bytes), found = [];
     for (const [i, node] of (document.nodes ?? []).entries()) {
         const own = (document.meshes?.[node.mesh]?.primitives ?? []).filter(primitive => primitive.extensions?.[GLTF]);
@@ -333,16 +335,16 @@ function readGltf(bytes, progress) {
         }
         scene.quats[4 * i] = quats.at(i, 3);
         scene.opacities[i] = opacities.at(i);
-        if (i % 65536 === 0) progress(i / count);
+        if (i % 65536 === 0) await progress(i / count);
     }
     return scene;
 }
 
 // By first bytes, a .splat by its name.
-async function readScene(bytes, name, progress) {
+async function readScene(bytes, name, progress, whole) {
     const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
     if (!bytes.length) throw new Error("The file is empty.");
-    if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress);
+    if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress, whole);
     if (starts("NGSP") || bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
     if (starts("PK")) return readSog(bytes, progress);
     if (starts("glTF") || /\.gltf$/i.test(name)) return readGltf(bytes, progress);

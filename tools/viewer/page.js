@@ -4,6 +4,8 @@ const counted = (count, what) => `${count.toLocaleString("en")} ${what}${count =
 const sized = bytes => bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
 
 const SLOW = 60; // milliseconds per frame; slower motion lowers the resolution
+const PREVIEWED = 1 << 24; // bytes; smaller scenes are shown when they are whole
+const FIRST = 1 / 16; // part of a scene that is shown first, then four times as much
 const REST = 250; // idle milliseconds before full resolution
 
 class Page {
@@ -54,7 +56,7 @@ class Page {
         const { scene } = this;
         if (scene.failed) this.say(`${scene.name}: ${scene.failed}`, true);
         else if (!scene.loading) this.load(this.current);
-        else this.say(scene.drawable ? "" : `${scene.name}: loading`);
+        else this.say(scene.drawable ? "" : `${scene.name}: ${scene.arriving ?? "loading"}`);
         if (!this.home) this.reset();
         this.tokens.leave();
         this.edit.enter();
@@ -76,10 +78,10 @@ class Page {
     }
 
     // With any view for the first depth order.
-    read(index, bytes) {
+    read(index, bytes, whole = true) {
         const scene = this.scenes[index], view = this.home && this.view();
-        if (!scene.file) scene.blob = new Blob([bytes]);
-        this.worker.postMessage({ load: index, bytes, name: scene.name, view }, [bytes]);
+        if (whole && !scene.file) scene.blob = new Blob([bytes]);
+        this.worker.postMessage({ load: index, bytes, name: scene.name, view, whole }, [bytes]);
     }
 
     // Resolves when the new scene is shown.
@@ -94,7 +96,7 @@ class Page {
     }
 
     // Dropped, embedded or from the server.
-    async bytes(scene) {
+    async bytes(scene, index) {
         if (scene.file) return scene.file.arrayBuffer();
         const { inlined } = scene;
         if (inlined) {
@@ -112,13 +114,24 @@ class Page {
         }
         const answer = await asked(scene.source);
         const all = Number(answer.headers.get("Content-Length")), parts = [];
-        let done = 0;
+        let done = 0, next = FIRST;
         for await (const part of chunks(answer.body)) {
             parts.push(part);
             done += part.length;
-            if (all) this.say(`${scene.name}: ${sized(done)} of ${sized(all)}`);
+            if (all) this.arrived(scene, `${sized(done)} of ${sized(all)}`);
+            // The server sends the most visible Gaussians first.
+            if (all > PREVIEWED && done >= next * all) {
+                next *= 4;
+                this.read(index, await new Blob(parts).arrayBuffer(), false);
+            }
         }
         return new Blob(parts).arrayBuffer();
+    }
+
+    // In the middle until there is a picture.
+    arrived(scene, text) {
+        scene.arriving = text;
+        if (scene === this.scene) scene.drawable ? this.label() : this.say(`${scene.name}: ${text}`);
     }
 
     failed(index, words) {
@@ -131,7 +144,7 @@ class Page {
         const scene = this.scenes[data.load ?? data.sort];
         if (data.edit !== undefined) return this.edit.answered(data);
         if (data.save !== undefined) return this.edit.saved(data);
-        if (data.progress !== undefined) scene.drawable || this.say(`${scene.name}: reading, ${Math.floor(100 * data.progress)} %`);
+        if (data.progress !== undefined) (!scene.drawable || scene.partial) && this.arrived(scene, `reading, ${Math.floor(100 * data.progress)} %`);
         else if (data.failed) this.failed(data.load, data.failed);
         else if (data.gaussians) this.loaded(data.load, data);
         else {
@@ -151,7 +164,7 @@ class Page {
             return this.failed(index, error.message);
         }
         if (before) this.renderer.release(before);
-        Object.assign(scene, { count: data.count, sample: data.sample, faint: data.faint, near: data.near, edits: 0, failed: null, sortedFor: data.view }, scene.next);
+        Object.assign(scene, { count: data.count, all: data.all, partial: data.count < data.all, sample: data.sample, faint: data.faint, near: data.near, edits: 0, failed: null, sortedFor: data.view }, scene.next);
         if (data.order) this.renderer.sort(scene.drawable, data.order);
         scene.done?.();
         if (index === this.current) {
@@ -257,8 +270,9 @@ class Page {
         const { scene, scenes } = this, facts = [];
         element("name").textContent = scene?.name ?? "";
         document.title = scene ? `${scene.name} - ZipSplat` : "ZipSplat";
-        if (scene?.count) facts.push(counted(scene.count, "Gaussian"));
-        if (scene?.bytes) facts.push(sized(scene.bytes));
+        if (scene?.partial) facts.push(`${scene.count.toLocaleString("en")} of ${counted(scene.all, "Gaussian")}`, scene.arriving);
+        else if (scene?.count) facts.push(counted(scene.count, "Gaussian"));
+        if (scene?.bytes && !scene.partial) facts.push(sized(scene.bytes));
         if (this.rate) facts.push(`${this.rate.toFixed(0)} frames a second`);
         element("facts").textContent = facts.join(" · ");
         element("scenes").hidden = scenes.length < 2;

@@ -1,9 +1,9 @@
 // Reads scenes, packs textures and sorts by depth.
 //
-// In: { load, bytes, name, view } and { sort, view }: scene numbers, and the view's line of sight
-// and eye (optional for load); { edit, act, volume } to "keep" or "delete" a volume, "undo" that or
+// In: { load, bytes, name, view, whole } and { sort, view }: scene numbers, and the view's line of
+// sight and eye (optional for load); { edit, act, volume } to "keep" or "delete" a volume, "undo" that or
 // only count; { save, file, name, kind }. Out: { load, progress }, { load, failed } with a message,
-// { load, count, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order },
+// { load, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order },
 // { sort, order }, { edit, count, faint, inside, edits } and { save, blob } or { save, failed }.
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
@@ -11,7 +11,7 @@ const SAMPLE = 4096;
 const scenes = new Map();
 const INVALID = 0xffff; // number of the edit that removes Gaussians with values that are not finite
 
-function pack(scene) {
+async function pack(scene, progress) {
     const { count, means, scales, quats, opacities, colors, rest } = scene;
     const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);
     const snorm = q => Math.round(32767 * q) & 0xffff;
@@ -33,6 +33,7 @@ function pack(scene) {
             gone[i] = INVALID;
             ++dropped;
         }
+        if (i % 65536 === 0) await progress(1);
     }
     const width = rest.length / count || 0, texels = Math.ceil(width / 8);
     const harmonics = new Uint16Array(8 * texels * count);
@@ -57,17 +58,21 @@ function nearPlane(sample, scales) {
     return extent < 0.1 && extent > 0 ? 0.01 * 2 ** Math.max(Math.floor(Math.log2(extent)), -100) : 0.01;
 }
 
-async function load(id, buffer, name, view) {
-    const progress = fraction => postMessage({ load: id, progress: fraction });
-    const scene = await readScene(new Uint8Array(buffer), name, progress);
+// Sorts and edits take turns with it.
+async function load({ load: id, bytes, name, view, whole }) {
+    const progress = fraction => {
+        if (whole) postMessage({ load: id, progress: fraction });
+        return new Promise(resolve => setTimeout(resolve));
+    };
+    const scene = await readScene(new Uint8Array(bytes), name, progress, whole);
     if (!scene.count) throw new Error("The scene has no Gaussians.");
-    const { gaussians, harmonics, gone, dropped } = pack(scene), { count, degree, antialiased, means, opacities } = scene;
+    const { gaussians, harmonics, gone, dropped } = await pack(scene, progress), { count, all = count, degree, antialiased, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
     const sample = sampled(scene), near = nearPlane(sample, scene.scales);
     scenes.set(id, { means, count, opacities, near, gone, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
     const { faint } = counts(scenes.get(id));
     const order = view && sorted(scenes.get(id), view);
-    postMessage({ load: id, count, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
+    postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
 // A box, or an ellipsoid if `round`, by its center and half its size.
@@ -129,6 +134,8 @@ function sorted({ means, count, opacities, near, gone, depths, indices }, [fx, f
     return order;
 }
 
+let loads = Promise.resolve();
+
 onmessage = async ({ data }) => {
     if (data.sort !== undefined) {
         const order = sorted(scenes.get(data.sort), data.view);
@@ -139,7 +146,7 @@ onmessage = async ({ data }) => {
         const failed = error => postMessage({ save: data.save, failed: error.message });
         await save(scenes.get(data.save), data.file, data.name, data.kind).then(blob => postMessage({ save: data.save, blob }), failed);
     } else {
-        await load(data.load, data.bytes, data.name, data.view).catch(error => {
+        loads = loads.then(() => load(data)).catch(error => {
             const words = error instanceof RangeError ? "The scene is larger than this browser's memory." : error.message;
             postMessage({ load: data.load, failed: words });
         });
