@@ -2,6 +2,7 @@ mod antialiased;
 mod foreign;
 mod gltf;
 mod packed;
+mod plyfile;
 mod sog;
 mod spz4;
 
