@@ -73,6 +73,8 @@ for (const [name, viewport] of [["desktop", DESKTOP], ["phone", PHONE]])
         await tab.screenshot(`sphere-${name}`);
         await tab.press("keep");
         assert.equal((await counted(tab)).count, inside(small));
+        await tab.press("fit");
+        assert.ok(inside(await counted(tab)) > 0.6 * inside(small), "the rest is fitted");
         await tab.press("edit-button");
         await tab.screenshot(`kept-${name}`);
         await tab.page.setViewport({ ...viewport, deviceScaleFactor: 1 });

@@ -154,8 +154,8 @@ pub struct SceneInput {
     /// Drop Gaussians with NaN, infinite or out-of-range values, which are otherwise an error
     #[arg(long)]
     drop_invalid: bool,
-    /// Whether the scene was optimized with Mip-Splatting's fading of Gaussians thinner than a
-    /// pixel, which pictures then apply [default: as its file states; alone: true]
+    /// Whether the scene is antialiased: pictures fade Gaussians thinner than a pixel, as in
+    /// Mip-Splatting [default: as its file states]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub antialiased: Option<bool>,
 }

@@ -37,7 +37,7 @@ class Edit {
     // After a change of the scene or the panel.
     enter() {
         const { scene } = this.page;
-        element("save-scene").disabled = !this.ready;
+        element("save-scene").disabled = !this.ready || Boolean(this.saved);
         if (!this.ready) return;
         if (scene !== this.scene) element("kind").value = /\.spz$/i.test(scene.file?.name ?? scene.extension) ? "spz" : "ply";
         this.scene = scene;
@@ -56,11 +56,10 @@ class Edit {
         this.frame();
     }
 
-    // Steps back until all handles are in view. Along an axis they would hide each other.
+    // Steps back until nothing covers a handle. Along an axis they would cover each other.
     frame() {
-        const { camera, canvas } = this.page, { center, half } = this.volume, panel = element("edit").getBoundingClientRect();
-        const top = panel.width > canvas.clientWidth / 2 ? panel.bottom : 0, bottom = document.querySelector("nav").getBoundingClientRect().top;
-        const free = ({ seen }) => seen?.every((value, i) => value > [0, top][i] + REACH && value < [canvas.clientWidth, bottom][i] - REACH);
+        const { camera, canvas } = this.page, { center, half } = this.volume;
+        const free = ({ seen }) => seen && [-REACH, REACH].every(by => document.elementFromPoint(seen[0] + by, seen[1] + by) === canvas);
         if (camera.axes[2].some(value => Math.abs(value) > 0.95)) camera.orbit(0.45, -0.3);
         let distance = Math.max(...half);
         do camera.place(add(center, camera.axes[2], -(distance *= 1.1)), camera.axes, distance);
@@ -87,9 +86,9 @@ class Edit {
         page.worker.postMessage({ edit: page.current, act, volume });
     }
 
-    answered({ edit, count, faint, inside, edits }) {
+    answered({ edit, count, faint, inside, edits, sample }) {
         const { page } = this, scene = page.scenes[edit], changed = edits !== scene.edits;
-        Object.assign(scene, { count, faint, edits });
+        Object.assign(scene, { count, faint, edits, sample: sample ?? scene.sample });
         if (changed) scene.sortedFor = page.overlay.compared = null;
         if (scene === page.scene) {
             element("inside").textContent = `${inside.toLocaleString("en")} of ${counted(count, "Gaussian")} inside`;
@@ -113,7 +112,8 @@ class Edit {
         page.say(`${name}: writing`);
         page.worker.postMessage({ save: page.current, file, name: own, kind });
         this.saved = ({ blob, failed }) => {
-            element("save-scene").disabled = false;
+            this.saved = null;
+            this.enter();
             page.say(failed ?? "", Boolean(failed));
             if (blob) page.download(name, blob);
         };
@@ -123,7 +123,7 @@ class Edit {
     handles() {
         const { center, half } = this.volume;
         const faces = FACES.map(({ axis, side }) => ({ axis, side, at: center.map((value, i) => i === axis ? value + side * half[i] : value) }));
-        return [{ axis: -1, at: center }, ...faces].map(handle => ({ ...handle, seen: this.page.overlay.project(handle.at) }));
+        return [{ axis: -1, at: center }, ...faces].map((handle, index) => ({ ...handle, index, seen: this.page.overlay.project(handle.at) }));
     }
 
     nearest(x, y) {
@@ -138,7 +138,7 @@ class Edit {
         if (!handle) return;
         event.stopImmediatePropagation();
         this.page.canvas.setPointerCapture(event.pointerId);
-        this.dragged = { id: event.pointerId, index: handle.axis < 0 ? 0 : 1 + FACES.findIndex(({ axis, side }) => axis === handle.axis && side === handle.side), at: [event.clientX, event.clientY] };
+        this.dragged = { id: event.pointerId, index: handle.index, at: [event.clientX, event.clientY] };
     }
 
     drag(event) {

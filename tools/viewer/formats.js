@@ -45,8 +45,8 @@ function plyHeader(bytes) {
         if (word === "format" && rest[0] !== "binary_little_endian")
             throw new Error(`The PLY is ${rest[0]}: this page reads binary_little_endian, which zipsplat convert writes.`);
         // Tags of Brush and Postshot.
-        const tag = word === "comment" && rest.length === 2 && rest.join(" ").toLowerCase();
-        if (/^(splatrendermode:|antialiased) /.test(tag)) header.antialiased = /^(splatrendermode: mip|antialiased 1)$/.test(tag);
+        if (word === "comment" && /^(splatrendermode:|antialiased) \S+$/i.test(rest.join(" ")))
+            header.antialiased = /^(splatrendermode: mip|antialiased 1)$/i.test(rest.join(" "));
         if (word === "element") {
             if (element === null && rest[0] !== "vertex")
                 throw new Error(`The PLY begins with ${rest[0]}s: zipsplat convert makes a PLY that this page reads.`);

@@ -272,7 +272,7 @@ class Page {
         document.title = scene ? `${scene.name} - ZipSplat` : "ZipSplat";
         if (scene?.partial) facts.push(`${scene.count.toLocaleString("en")} of ${counted(scene.all, "Gaussian")}`, scene.arriving);
         else if (scene?.count) facts.push(counted(scene.count, "Gaussian"));
-        if (scene?.bytes && !scene.partial) facts.push(sized(scene.bytes));
+        if (scene?.bytes && !scene.partial && !scene.edits) facts.push(sized(scene.bytes));
         if (this.rate) facts.push(`${this.rate.toFixed(0)} frames a second`);
         element("facts").textContent = facts.join(" · ");
         element("scenes").hidden = scenes.length < 2;

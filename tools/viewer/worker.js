@@ -4,7 +4,7 @@
 // sight and eye (optional for load); { edit, act, volume } to "keep" or "delete" a volume, "undo" that or
 // only count; { save, file, name, kind }. Out: { load, progress }, { load, failed } with a message,
 // { load, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order },
-// { sort, order }, { edit, count, faint, inside, edits } and { save, blob } or { save, failed }.
+// { sort, order }, { edit, count, faint, inside, edits, sample } and { save, blob } or { save, failed }.
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
@@ -41,10 +41,11 @@ async function pack(scene, progress) {
     return { gaussians, harmonics: new Uint32Array(harmonics.buffer), gone, dropped };
 }
 
-// For the first view.
-function sampled({ means, count }) {
+// For views of the scene.
+function sampled({ means }, gone, count) {
     const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
-    for (let i = 0; i < count; i += step) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
+    for (let i = 0, k = 0; i < gone.length; ++i)
+        if (!gone[i] && k++ % step === 0) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
     return new Float32Array(points);
 }
 
@@ -68,7 +69,7 @@ async function load({ load: id, bytes, name, view, whole }) {
     if (!scene.count) throw new Error("The scene has no Gaussians.");
     const { gaussians, harmonics, gone, dropped } = await pack(scene, progress), { count, all = count, degree, antialiased, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
-    const sample = sampled(scene), near = nearPlane(sample, scene.scales);
+    const sample = sampled(scene, gone, count), near = nearPlane(sample, scene.scales);
     scenes.set(id, { means, count, opacities, near, gone, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
     const { faint } = counts(scenes.get(id));
     const order = view && sorted(scenes.get(id), view);
@@ -102,7 +103,8 @@ function edit(scene, act, volume) {
         ++scene.edits;
         for (let i = 0; i < gone.length; ++i) if (!gone[i] && within(means, i, volume) === (act === "delete")) gone[i] = scene.edits;
     }
-    return counts(scene, volume);
+    const after = counts(scene, volume);
+    return { ...after, sample: act && sampled(scene, gone, after.count) };
 }
 
 async function save({ gone }, file, name, kind) {
@@ -135,6 +137,7 @@ function sorted({ means, count, opacities, near, gone, depths, indices }, [fx, f
 }
 
 let loads = Promise.resolve();
+const newest = new Map();
 
 onmessage = async ({ data }) => {
     if (data.sort !== undefined) {
@@ -146,7 +149,10 @@ onmessage = async ({ data }) => {
         const failed = error => postMessage({ save: data.save, failed: error.message });
         await save(scenes.get(data.save), data.file, data.name, data.kind).then(blob => postMessage({ save: data.save, blob }), failed);
     } else {
-        loads = loads.then(() => load(data)).catch(error => {
+        newest.set(data.load, data);
+        // A part that is overtaken shows nothing new, unless it is the first.
+        const overtaken = () => !data.whole && scenes.has(data.load) && newest.get(data.load) !== data;
+        loads = loads.then(() => overtaken() || load(data)).catch(error => {
             const words = error instanceof RangeError ? "The scene is larger than this browser's memory." : error.message;
             postMessage({ load: data.load, failed: words });
         });

@@ -254,7 +254,7 @@ impl Header {
                     antialiased = mode.eq_ignore_ascii_case(ANTIALIASED[1]);
                 }
                 // Postshot's tag.
-                ["comment", "antialiased", flag] => antialiased = flag == "1",
+                ["comment", name, flag] if name.eq_ignore_ascii_case("antialiased") => antialiased = flag == "1",
                 ["ply"] | ["comment" | "obj_info", ..] | [] => {}
                 _ => return Err(fault("not a line of a PLY header")),
             }
