@@ -1,10 +1,17 @@
-// Reads scenes, packs textures and sorts by depth.
+// Reads scenes, packs textures, sorts by depth, deletes and saves.
 //
-// In: { load, bytes, name, view, whole } and { sort, view }: scene numbers, and the view's line of
-// sight and eye (optional for load); { edit, act, volume } to "keep" or "delete" a volume, "undo" that or
-// only count; { save, file, name, kind }. Out: { load, progress }, { load, failed } with a message,
-// { load, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order },
-// { sort, order }, { edit, count, faint, inside, edits, sample } and { save, blob } or { save, failed }.
+// In, with the number of a scene:
+//   { load, bytes, name, view, whole }: the view's line of sight and eye are optional
+//   { sort, view }
+//   { edit, act, volume }: acts are "keep" and "delete" a volume, and "undo"; none only counts
+//   { save, file, name, kind }
+// Out:
+//   { load, progress } or { load, failed } with a message
+//   { load, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample,
+//     order }
+//   { sort, order }
+//   { edit, count, faint, inside, edits, sample }
+//   { save, blob } or { save, failed }
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
