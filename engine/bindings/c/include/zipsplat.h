@@ -570,10 +570,10 @@ typedef struct zs_edit {
     double numbers[6];
 } zs_edit;
 
-// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in order. `cameras`, in that
-// world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN; edits that move the scene
-// move them, too. `gaussian_counts` is NULL or gets the number of Gaussians after each edit. Edits
-// that leave none fail.
+// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in
+// order. `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN;
+// edits that move the scene move them, too. `gaussian_counts` is NULL or gets the number of
+// Gaussians after each edit. Edits that leave none fail.
 zs_status zs_scene_edit(const struct zs_scene *const *scenes,
                         size_t scene_count,
                         const struct zs_edit *edits,

@@ -192,11 +192,11 @@ impl zs_gaussians {
             let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
             return Err(Failure::argument("gaussians, sh_degree", self.sh_degree, expected));
         }
-        for (field, value, most) in [("antialiased", self.antialiased, 1), ("reserved", self.reserved, 0)] {
-            if value > most {
-                let expected = if most == 0 { "0" } else { "0 or 1" };
-                return Err(Failure::argument(format!("gaussians, {field}"), value, expected));
-            }
+        if self.antialiased > 1 {
+            return Err(Failure::argument("gaussians, antialiased", self.antialiased, "0 or 1"));
+        }
+        if self.reserved != 0 {
+            return Err(Failure::argument("gaussians, reserved", self.reserved, "0"));
         }
         let n = self.count;
         if n > MAX_GAUSSIANS {

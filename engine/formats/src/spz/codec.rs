@@ -51,8 +51,8 @@ impl Layout {
         (self.sh_degree as usize + 1).pow(2) - 1
     }
 
-    /// Header bytes after the count.
-    pub(super) fn header(&self) -> [u8; 3] {
+    /// Degree, fractional bits and flags, as in headers.
+    pub(super) fn fields(&self) -> [u8; 3] {
         [self.sh_degree as u8, self.fractional_bits as u8, ANTIALIASED * u8::from(self.antialiased)]
     }
 

@@ -64,7 +64,7 @@ fn encoder<'a>(scene: &'a Scene, options: &SaveOptions, world: Option<&World>) -
     Ok(Box::new(move |out| {
         let mut out = Gzip::begin(out, &comment)?;
         let mut header = [MAGIC, version, count].map(u32::to_le_bytes).concat();
-        header.extend(layout.header());
+        header.extend(layout.fields());
         header.push(0);
         out.write(&header)?;
         layout.encode(scene, |section| out.write(&section))?;
@@ -79,6 +79,7 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
 }
 
 impl Layout {
+    /// Checks the [`fields`](Self::fields) of a header.
     fn of_header(version: u32, [sh_degree, fractional_bits, flags]: [u8; 3]) -> std::result::Result<Self, Fault> {
         let fault = |offset: usize, reason: String| Err(Fault { offset: Some(offset), reason });
         if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
@@ -108,14 +109,14 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
     let mut header = [0; HEADER];
     stream.read_exact(&mut header).map_err(gzip)?;
     let word = |i: usize| u32::from_le_bytes(std::array::from_fn(|byte| header[4 * i + byte]));
-    let own = [header[12], header[13], header[14]];
+    let fields = [header[12], header[13], header[14]];
     if word(0) != MAGIC {
         return Err(fault(0, format!("found magic {:#010x}, expected {MAGIC:#010x} (\"NGSP\")", word(0))));
     }
     if !matches!(word(1), 2 | 3) {
         return Err(fault(4, format!("found version {}, expected 2 or 3", word(1))));
     }
-    let layout = Layout::of_header(word(1), own)?;
+    let layout = Layout::of_header(word(1), fields)?;
     let expected = u64::from(word(2)) * layout.gaussian_bytes() as u64;
     // Checked before allocating by the count.
     if expected > ALWAYS_INFLATED.max(MAX_INFLATION * bytes.len() as u64) {
@@ -129,7 +130,7 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
         return Err(fault(HEADER + body.len(), reason));
     }
     // Reads to the end, where the checksum is.
-    let most = if own[2] & HAS_EXTENSIONS != 0 { MAX_EXTENSIONS } else { 0 };
+    let most = if fields[2] & HAS_EXTENSIONS != 0 { MAX_EXTENSIONS } else { 0 };
     let rest = std::io::copy(&mut stream.take(most + 1), &mut std::io::sink()).map_err(gzip)?;
     if rest > most {
         let reason = format!("found more than {most} bytes after {} Gaussians, expected the end", word(2));
