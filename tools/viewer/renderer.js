@@ -135,7 +135,7 @@ void main() {
     else value = max(degree > 0 ? value + bands(index, normalize(offset)) : value, 0.0);
     vec3 place = abs(uintBitsToFloat(first.xyz) - middle) / reach;
     bool marked = volume == 1 ? max(max(place.x, place.y), place.z) <= 1.0 : volume == 2 && dot(place, place) <= 1.0;
-    if (marked && show == 0) value = mix(value, vec3(1.0, 0.2, 0.7), 0.4);
+    if (marked && show == 0) value = mix(value, vec3(1.0, 0.2, 0.7), 0.3);
     color = floatBitsToUint(vec4(value, 0));
 }`;
 
