@@ -28,9 +28,6 @@ layout(constant_id = 8) const bool POOLED = false;
 // subgroups must meet the same ones.
 layout(constant_id = 9) const bool ALWAYS = false;
 
-// A larger rise of a row's maximum rescales its sums; weights are at most exp(RISE).
-const float RISE = 5.0;
-
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
 const uint ELEMENTS = MATRIX_M * MATRIX_N / LANES; // components of a lane
@@ -75,10 +72,8 @@ shared float biases[TILE]; // added to a tile's scores
 uvec4 next_k[LOADS];
 uvec4 next_v[LOADS];
 Left query[REPEAT_M * STEPS];
+Sums score[REPEAT_M * KEYS];
 Sums sums[REPEAT_M * BLOCKS];
-Sums highest[REPEAT_M]; // per row, a score within RISE of its maximum so far
-Sums total[REPEAT_M];   // of a row's weights, in parts
-Sums row;
 uint scratch; // of this subgroup
 
 void load(uint base, uint first_key) {
@@ -106,68 +101,9 @@ void stage_biases(uint first_key) {
     }
 }
 
-// Several lanes share a row of MATRIX_N values.
-const uint QUADS = MATRIX_N / 4;
-const uint ROW_LANES = LANES <= MATRIX_M ? 1 : LANES / MATRIX_M < QUADS ? LANES / MATRIX_M : QUADS;
-const uint LANE_QUADS = QUADS / ROW_LANES;
-
-// Replaces the components of `row` by the largest of its row, or by its sum.
-void across(const bool add) {
-    uint strip = scratch + STRIP;
-    subgroupBarrier();
-    coopMatStore(row, staged, strip, STRIP_STRIDE, ROW_MAJOR);
-    subgroupBarrier();
-    for (uint i = 0; i < MATRIX_M; i += LANES / ROW_LANES) {
-        uint own = min(i + gl_SubgroupInvocationID / ROW_LANES, MATRIX_M - 1);
-        uint at = strip + own * STRIP_STRIDE + gl_SubgroupInvocationID % ROW_LANES * LANE_QUADS;
-        float x = add ? 0.0 : LOWEST;
-        [[unroll]] for (uint c = 0; c < LANE_QUADS; c++) {
-            vec4 y = uintBitsToFloat(staged[at + c]);
-            x = add ? x + dot(y, vec4(1.0)) : max(x, max(max(y.x, y.y), max(y.z, y.w)));
-        }
-        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) {
-            float other = subgroupShuffleXor(x, apart);
-            x = add ? x + other : max(x, other);
-        }
-        subgroupBarrier(); // surplus lanes share the last row
-        [[unroll]] for (uint c = 0; c < LANE_QUADS; c++) staged[at + c] = floatBitsToUint(vec4(x));
-    }
-    subgroupBarrier();
-    coopMatLoad(row, staged, strip, STRIP_STRIDE, ROW_MAJOR);
-    subgroupBarrier();
-}
-
-#if FACTOR_IS_F16
-float rounded(float weight) { return float(float16_t(weight)); }
-#else
-float rounded(float weight) { return uintBitsToFloat(bf16_bits(vec4(weight)).x << 16); }
-#endif
-
-// Stores rounded weights of MATRIX_M queries as factors.
-void put_weights(uint m, Sums weights[KEYS]) {
-    uint at = scratch + m * MATRIX_M * WEIGHT_STRIDE;
-#if FACTOR_IS_F16
-    [[unroll]] for (uint n = 0; n < KEYS; n++) {
-        coopMatStore(Halves(weights[n]), staged, at + n * MATRIX_N / 8, WEIGHT_STRIDE, ROW_MAJOR);
-    }
-#else
-    uint strip = scratch + STRIP;
-    subgroupBarrier();
-    [[unroll]] for (uint n = 0; n < KEYS; n++) {
-        coopMatStore(weights[n], staged, strip + n * MATRIX_N / 4, STRIP_STRIDE, ROW_MAJOR);
-    }
-    subgroupBarrier();
-    for (uint i = gl_SubgroupInvocationID; i < MATRIX_M * TILE / 8; i += LANES) {
-        uint from = strip + i / (TILE / 8) * STRIP_STRIDE + i % (TILE / 8) * 2;
-        vec4 w0 = uintBitsToFloat(staged[from]);
-        vec4 w1 = uintBitsToFloat(staged[from + 1]);
-        staged[at + i / (TILE / 8) * WEIGHT_STRIDE + i % (TILE / 8)] = uvec4(pack_FACTOR4(w0), pack_FACTOR4(w1));
-    }
-#endif
-}
+#include "shared/running_softmax.glsl"
 
 void attend(bool biased) {
-    Sums score[REPEAT_M * KEYS];
     [[unroll]] for (uint n = 0; n < KEYS; n++) {
         [[unroll]] for (uint m = 0; m < REPEAT_M; m++) score[m * KEYS + n] = Sums(0);
         [[unroll]] for (uint c = 0; c < STEPS; c++) {
@@ -185,41 +121,7 @@ void attend(bool biased) {
             [[unroll]] for (uint m = 0; m < REPEAT_M; m++) score[m * KEYS + n] = score[m * KEYS + n] + bias;
         }
     }
-
-    // Drivers keep matrices in registers where the innermost loop is over components.
-    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        row = score[m * KEYS];
-        [[unroll]] for (uint n = 1; n < KEYS; n++) {
-            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) row[i] = max(row[i], score[m * KEYS + n][i]);
-        }
-        uint rises = 0;
-        [[unroll]] for (uint i = 0; i < ELEMENTS; i++) rises += uint(row[i] - highest[m][i] > RISE);
-        if (ALWAYS || subgroupAny(rises > 0)) {
-            across(false);
-            float keep[ELEMENTS];
-            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {
-                float now = max(highest[m][i], row[i]);
-                keep[i] = exp(highest[m][i] - now);
-                highest[m][i] = now;
-                total[m][i] *= keep[i];
-            }
-            [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
-                [[unroll]] for (uint i = 0; i < ELEMENTS; i++) sums[m * BLOCKS + n][i] *= keep[i];
-            }
-        }
-    }
-
-    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        Sums weights[KEYS];
-        [[unroll]] for (uint n = 0; n < KEYS; n++) {
-            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {
-                float weight = rounded(exp(score[m * KEYS + n][i] - highest[m][i]));
-                weights[n][i] = weight;
-                total[m][i] += weight;
-            }
-        }
-        put_weights(m, weights);
-    }
+    softmax();
     subgroupBarrier();
     [[unroll]] for (uint c = 0; c < TILE / MATRIX_K; c++) {
         Left weight[REPEAT_M];
@@ -250,9 +152,8 @@ void main() {
             coopMatLoad(query[m * STEPS + c], q, at + c * MATRIX_K / 8, PIECES, ROW_MAJOR);
         }
         [[unroll]] for (uint n = 0; n < BLOCKS; n++) sums[m * BLOCKS + n] = Sums(0);
-        highest[m] = Sums(LOWEST);
-        total[m] = Sums(0);
     }
+    softmax_begin();
 
     load(kv_base, 0);
     for (uint first_key = 0; first_key < keys; first_key += TILE) {
@@ -265,16 +166,7 @@ void main() {
         attend(biased);
     }
 
-    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        row = total[m];
-        across(true);
-        [[unroll]] for (uint i = 0; i < ELEMENTS; i++) total[m][i] = 1.0 / row[i];
-    }
-    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
-            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) sums[m * BLOCKS + n][i] *= total[m][i];
-        }
-    }
+    softmax_end();
     uint strip = scratch + STRIP;
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         subgroupBarrier();

@@ -46,8 +46,7 @@ const uint SHARED = STAGE > SUBGROUPS * STRIP ? STAGE : SUBGROUPS * STRIP;
 const uint THREADS = gl_WorkGroupSize.x;
 const uint A_LOADS = (TILE_M * PIECES + THREADS - 1) / THREADS;
 const uint W_LOADS = (TILE_N * PIECES + THREADS - 1) / THREADS;
-// Quads of sums per quad of results.
-const uint MERGED = ACTIVATION == 2 ? 2 : 1;
+const uint MERGED = ACTIVATION == 2 ? 2 : 1; // quads of sums per quad of results
 
 layout(set = 0, binding = 0) readonly buffer A { Piece a[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { Piece weight[]; };
@@ -69,10 +68,8 @@ layout(push_constant) uniform Push {
 
 shared Piece staged[SHARED];
 
-Piece next_a[A_LOADS];
-Piece next_weight[W_LOADS];
-uint first_a[A_LOADS]; // pieces of this lane in tile 0
-uint first_weight[W_LOADS];
+Piece next_a[A_LOADS], next_weight[W_LOADS];
+uint first_a[A_LOADS], first_weight[W_LOADS]; // pieces of this lane in tile 0
 
 #if FACTOR_IS_I8
 Piece weight_at(uint at) { return weight[at]; }
@@ -93,39 +90,33 @@ Piece factors(Piece loaded) {
 #endif
 
 // Surplus rows and columns repeat the last.
+uint first_piece(uint at, uint first, uint count) { return min(first + at / PIECES, count - 1) * (inner / 8) + at % PIECES; }
+
 void locate(uint first_row, uint first_column) {
-    [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
-        uint at = i * THREADS + gl_LocalInvocationID.x;
-        first_a[i] = min(first_row + at / PIECES, rows - 1) * (inner / 8) + at % PIECES;
-    }
-    [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
-        uint at = i * THREADS + gl_LocalInvocationID.x;
-        first_weight[i] = min(first_column + at / PIECES, columns - 1) * (inner / 8) + at % PIECES;
-    }
+    uint lane = gl_LocalInvocationID.x;
+    [[unroll]] for (uint i = 0; i < A_LOADS; i++) first_a[i] = first_piece(i * THREADS + lane, first_row, rows);
+    [[unroll]] for (uint i = 0; i < W_LOADS; i++) first_weight[i] = first_piece(i * THREADS + lane, first_column, columns);
 }
 
 // Terms past `inner` are 0.
 void load(uint tile) {
-    uint piece = tile * PIECES;
-    // PIECES divides THREADS.
+    uint piece = tile * PIECES; // PIECES divides THREADS
     bool real = WHOLE || piece + gl_LocalInvocationID.x % PIECES < inner / 8;
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) next_a[i] = real ? a[first_a[i] + piece] : Piece(0);
-    [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
-        next_weight[i] = real ? weight_at(first_weight[i] + piece) : Piece(0);
-    }
+    [[unroll]] for (uint i = 0; i < W_LOADS; i++) next_weight[i] = real ? weight_at(first_weight[i] + piece) : Piece(0);
 }
+
+uint place(uint at) { return at / PIECES * STRIDE + at % PIECES; }
 
 void stage() {
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (TILE_M * PIECES % THREADS == 0 || at < TILE_M * PIECES) {
-            staged[at / PIECES * STRIDE + at % PIECES] = next_a[i];
-        }
+        if (TILE_M * PIECES % THREADS == 0 || at < TILE_M * PIECES) staged[place(at)] = next_a[i];
     }
     [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
         if (TILE_N * PIECES % THREADS == 0 || at < TILE_N * PIECES) {
-            staged[(TILE_M + at / PIECES) * STRIDE + at % PIECES] = factors(next_weight[i]);
+            staged[TILE_M * STRIDE + place(at)] = factors(next_weight[i]);
         }
     }
 }
