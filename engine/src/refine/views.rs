@@ -3,7 +3,7 @@ use crate::{
     Result,
     random::Random,
     stages::render::check_camera,
-    types::{Camera, preprocess::PixelMap},
+    types::{Camera, ColorTransform, preprocess::PixelMap},
 };
 
 pub(super) struct View {
@@ -11,6 +11,7 @@ pub(super) struct View {
     pub size: [u32; 2],
     pub rgb: Rgb,
     pub camera: Camera,
+    pub exposure: ColorTransform,
 }
 
 impl View {
