@@ -130,7 +130,8 @@ impl Exposures {
     /// Moves the mean back to the identity.
     pub fn center(&mut self) {
         for i in 0..EXPOSURE_NUMBERS {
-            let mean = self.training.iter().map(|photo| self.changes[*photo][i]).sum::<f64>() / self.training.len() as f64;
+            let mean =
+                self.training.iter().map(|photo| self.changes[*photo][i]).sum::<f64>() / self.training.len() as f64;
             self.training.iter().for_each(|photo| self.changes[*photo][i] -= mean);
         }
     }

@@ -240,8 +240,7 @@ impl<'a> Refinement<'a> {
             self.upcoming.push_back(self.training[self.order.next()]);
         }
         let now: Vec<usize> = self.upcoming.drain(..count).collect();
-        let mut views =
-            self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)?;
+        let mut views = self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)?;
         if let Some(exposures) = &self.exposures {
             views.iter_mut().for_each(|view| view.exposure = exposures.get(view.photo));
         }
