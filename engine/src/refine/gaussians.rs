@@ -4,7 +4,7 @@
 use super::{
     Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
     growth::padded,
-    planned::{PhotoLoss, PhotoPlan, record_photos},
+    planned::{PhotoLoss, PhotoPlan, Training, record_photos},
     record_adam, record_anisotropy_limit,
     views::View,
 };
@@ -54,6 +54,7 @@ pub(super) struct Gaussians {
     near: f32,
     gradients: Gradients,
     options: RefineOptions,
+    learns_exposures: bool,
     clear: Run,
     update: Run,
     schedule: Tensor,
@@ -122,6 +123,7 @@ impl Gaussians {
             near: NEAR,
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
             options: options.clone(),
+            learns_exposures: false,
             clear,
             update,
             schedule,
@@ -174,6 +176,11 @@ impl Gaussians {
         Ok(Some(found))
     }
 
+    pub fn learn_exposures(&mut self) {
+        self.learns_exposures = true;
+        self.plans.clear();
+    }
+
     pub fn set_near(&mut self, near: f32) {
         self.near = near;
     }
@@ -206,7 +213,12 @@ impl Gaussians {
         self.plans.get(PlanKey { shape, backward, options: () }, |capacity| {
             let mut rec = Recorder::new(self.arena.device().limits());
             let lpips = self.lpips.as_ref().map(|weights| &weights.lpips);
-            let training = backward.then_some((&self.options, &self.gradients, lpips));
+            let training = backward.then_some(Training {
+                options: &self.options,
+                gradients: &self.gradients,
+                lpips,
+                exposure: self.learns_exposures,
+            });
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;

@@ -1,5 +1,5 @@
 use super::{
-    Exposure, PerceptualLoss, RefineOptions,
+    PerceptualLoss, RefineOptions,
     exposure::{EXPOSURE_NUMBERS, Exposed},
     views::View,
 };
@@ -43,6 +43,15 @@ pub(super) struct Learning {
     pub exposures: Option<[Tensor; 2]>,
 }
 
+/// Settings of a plan that accumulates gradients.
+pub(super) struct Training<'a> {
+    pub options: &'a RefineOptions,
+    pub gradients: &'a Gradients,
+    pub lpips: Option<&'a Lpips>,
+    /// Whether the photos have color transforms.
+    pub exposure: bool,
+}
+
 pub(super) struct PhotoLoss {
     pub photo: usize,
     pub loss: f32,
@@ -58,12 +67,12 @@ pub(super) fn record_photos(
     shape: FrameShape,
     capacity: usize,
     near: f32,
-    training: Option<(&RefineOptions, &Gradients, Option<&Lpips>)>,
+    training: Option<Training<'_>>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
     let drawing = RenderOptions { near: Some(near), ..RenderOptions::default() };
-    let Some((options, gradients, lpips)) = training else {
+    let Some(Training { options, gradients, lpips, exposure }) = training else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, &drawing, capacity) };
     };
     let d_cameras = options.optimize_cameras.then(|| {
@@ -74,8 +83,7 @@ pub(super) fn record_photos(
     let values = 3 * count * width as usize * height as usize;
     let photos = rec.input::<u32>("photos", values.div_ceil(4));
     let targets = rec.scope("loss", |rec| record_targets(rec, photos, values));
-    let transforms =
-        (options.exposure == Exposure::On).then(|| rec.input::<[f32; EXPOSURE_NUMBERS]>("exposures", count));
+    let transforms = exposure.then(|| rec.input::<[f32; EXPOSURE_NUMBERS]>("exposures", count));
     let mut learning = None;
     let compare = |rec: &mut Recorder, frames: Tensor| {
         let scale = 1.0 / options.views_per_step as f32;

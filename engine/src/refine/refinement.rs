@@ -1,7 +1,7 @@
 use super::{
     Exposure, RefineOptions, RefineProgress, RefineResult, StopReason,
     cameras::Cameras,
-    exposure::Exposures,
+    exposure::{Exposures, Gains},
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
@@ -23,6 +23,8 @@ use std::{
 
 /// Number of evaluations of held-out photos or, without any, of the loss.
 const EVALUATIONS: usize = 20;
+/// Fraction of the steps before exposures are learned.
+const EXPOSURE_START: f64 = 0.1;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
@@ -96,10 +98,6 @@ impl<'a> Refinement<'a> {
             let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
             (Growth::new(scene.len(), most, steps, options.seed), FreeSpace::new(&scene, &training_cameras))
         });
-        let exposures = (options.exposure == Exposure::On).then(|| {
-            let rate = options.learning_rates.exposure;
-            Exposures::new(cameras.len(), &training, options.views_per_step, rate)
-        });
         gaussians.set_near(scene.near());
         Ok(Self {
             photos,
@@ -117,8 +115,8 @@ impl<'a> Refinement<'a> {
             validation,
             holdout,
             fraction: 1.0,
-            kept: Kept { step: 0, scene, cameras: cameras.to_vec(), exposures: exposures.clone() },
-            exposures,
+            kept: Kept { step: 0, scene, cameras: cameras.to_vec(), exposures: None },
+            exposures: None,
             sizes: Vec::new(),
             losses: Vec::new(),
             holdout_psnr: Vec::new(),
@@ -180,11 +178,15 @@ impl<'a> Refinement<'a> {
     ) -> Result<Option<StopReason>> {
         let steps = self.steps;
         let interval = steps.div_ceil(EVALUATIONS).max(1);
+        let exposure_start = (EXPOSURE_START * steps as f64) as usize;
         self.evaluate(0)?;
         self.photos.fill(&self.training)?;
         for step in 0..steps {
             self.resize(step);
-            let views = match self.next_views() {
+            if step == exposure_start {
+                self.start_exposures()?;
+            }
+            let mut views = match self.next_views() {
                 Ok(views) => views,
                 Err(error) if step > 0 => {
                     self.evaluate(step)?;
@@ -195,6 +197,7 @@ impl<'a> Refinement<'a> {
                 }
                 Err(error) => return Err(error),
             };
+            self.expose(&mut views)?;
             let found =
                 self.gaussians.step(&views.iter().collect::<Vec<_>>(), self.fraction * self.schedule.rate(step))?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
@@ -240,11 +243,38 @@ impl<'a> Refinement<'a> {
             self.upcoming.push_back(self.training[self.order.next()]);
         }
         let now: Vec<usize> = self.upcoming.drain(..count).collect();
-        let mut views = self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)?;
-        if let Some(exposures) = &self.exposures {
-            views.iter_mut().for_each(|view| view.exposure = exposures.get(view.photo));
+        self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)
+    }
+
+    /// Begins to learn exposures, if asked to or where they differ: not before the scene resembles
+    /// the photos.
+    fn start_exposures(&mut self) -> Result<()> {
+        if self.options.exposure == Exposure::Off {
+            return Ok(());
         }
-        Ok(views)
+        let gaussians = &mut self.gaussians;
+        let gains = self.measured.iter().map(|view| Ok((view.photo, Gains::new(&gaussians.draw(view)?.0, view))));
+        let (photos, gains): (Vec<usize>, Vec<Gains>) = gains.collect::<Result<Vec<_>>>()?.into_iter().unzip();
+        if self.options.exposure == Exposure::On || Gains::differ(&gains) {
+            let RefineOptions { views_per_step, learning_rates, .. } = &self.options;
+            let count = self.cameras.all().len();
+            let mut exposures = Exposures::new(count, &self.training, *views_per_step, learning_rates.exposure);
+            photos.into_iter().zip(&gains).for_each(|(photo, gains)| exposures.start(photo, gains));
+            self.exposures = Some(exposures);
+            gaussians.learn_exposures();
+        }
+        Ok(())
+    }
+
+    fn expose(&mut self, views: &mut [View]) -> Result<()> {
+        let Some(exposures) = &mut self.exposures else { return Ok(()) };
+        for view in views {
+            if !exposures.has(view.photo) {
+                exposures.start(view.photo, &Gains::new(&self.gaussians.draw(view)?.0, view));
+            }
+            view.exposure = exposures.get(view.photo);
+        }
+        Ok(())
     }
 
     /// Returns the mean PSNR with the kept cameras and exposures.
