@@ -18,14 +18,14 @@ layout(scalar, set = 0, binding = 1) readonly buffer Targets { vec3 targets[]; }
 layout(set = 0, binding = 2) readonly buffer Transforms { vec4 transforms[]; };
 layout(scalar, set = 0, binding = 3) buffer Gradient { vec3 gradient[]; };
 layout(set = 0, binding = 4) writeonly buffer Sums { float sums[]; };
-layout(push_constant) uniform Push { uint cameras; uint pixels; uint groups; };
+layout(push_constant) uniform Push { uint cameras; uint pixels; uint groups; uint first; };
 
 void main() {
     uint camera = group_index() / groups, group = group_index() % groups;
     if (camera >= cameras) return;
     vec4 rows[3], sum[3];
     for (uint k = 0; k < 3; k++) {
-        rows[k] = transforms[3 * camera + k];
+        rows[k] = transforms[3 * (first + camera) + k];
         sum[k] = vec4(0);
     }
     for (uint p = 0; p < RUN; p++) {

@@ -1,7 +1,7 @@
 use super::{
-    Exposure, RefineOptions, RefineProgress, RefineResult, StopReason,
+    RefineOptions, RefineProgress, RefineResult, StopReason,
     cameras::Cameras,
-    exposure::{Exposures, Gains},
+    exposure::{EXPOSURE_START, Exposures},
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
@@ -23,8 +23,6 @@ use std::{
 
 /// Number of evaluations of held-out photos or, without any, of the loss.
 const EVALUATIONS: usize = 20;
-/// Fraction of the steps before exposures are learned.
-const EXPOSURE_START: f64 = 0.1;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
@@ -184,7 +182,8 @@ impl<'a> Refinement<'a> {
         for step in 0..steps {
             self.resize(step);
             if step == exposure_start {
-                self.start_exposures()?;
+                let (training, views, count) = (&self.training, &self.measured, self.cameras.all().len());
+                self.exposures = Exposures::start(&mut self.gaussians, &self.options, training, views, count)?;
             }
             let mut views = match self.next_views() {
                 Ok(views) => views,
@@ -197,7 +196,9 @@ impl<'a> Refinement<'a> {
                 }
                 Err(error) => return Err(error),
             };
-            self.expose(&mut views)?;
+            if let Some(exposures) = &mut self.exposures {
+                exposures.expose(&mut self.gaussians, &mut views)?;
+            }
             let found =
                 self.gaussians.step(&views.iter().collect::<Vec<_>>(), self.fraction * self.schedule.rate(step))?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
@@ -246,37 +247,6 @@ impl<'a> Refinement<'a> {
         self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)
     }
 
-    /// Begins to learn exposures, if asked to or where they differ: not before the scene resembles
-    /// the photos.
-    fn start_exposures(&mut self) -> Result<()> {
-        if self.options.exposure == Exposure::Off {
-            return Ok(());
-        }
-        let gaussians = &mut self.gaussians;
-        let gains = self.measured.iter().map(|view| Ok((view.photo, Gains::new(&gaussians.draw(view)?.0, view))));
-        let (photos, gains): (Vec<usize>, Vec<Gains>) = gains.collect::<Result<Vec<_>>>()?.into_iter().unzip();
-        if self.options.exposure == Exposure::On || Gains::differ(&gains) {
-            let RefineOptions { views_per_step, learning_rates, .. } = &self.options;
-            let count = self.cameras.all().len();
-            let mut exposures = Exposures::new(count, &self.training, *views_per_step, learning_rates.exposure);
-            photos.into_iter().zip(&gains).for_each(|(photo, gains)| exposures.start(photo, gains));
-            self.exposures = Some(exposures);
-            gaussians.learn_exposures();
-        }
-        Ok(())
-    }
-
-    fn expose(&mut self, views: &mut [View]) -> Result<()> {
-        let Some(exposures) = &mut self.exposures else { return Ok(()) };
-        for view in views {
-            if !exposures.has(view.photo) {
-                exposures.start(view.photo, &Gains::new(&self.gaussians.draw(view)?.0, view));
-            }
-            view.exposure = exposures.get(view.photo);
-        }
-        Ok(())
-    }
-
     /// Returns the mean PSNR with the kept cameras and exposures.
     pub fn training_psnr(&mut self) -> Result<f64> {
         let Kept { cameras, exposures, .. } = &self.kept;
@@ -285,7 +255,7 @@ impl<'a> Refinement<'a> {
             view.camera.pose = cameras[view.photo].pose;
             let (drawn, intersections) = self.gaussians.draw(view)?;
             let drawn = exposures.as_ref().map(|all| all.get(view.photo).apply(&drawn)).unwrap_or(drawn);
-            sum += psnr(&drawn, view);
+            sum += view.psnr(&drawn);
             seen |= intersections > 0;
         }
         for photo in &self.training {
@@ -369,7 +339,7 @@ impl<'a> Refinement<'a> {
                     let values: Vec<f32> = view.values().collect();
                     drawn = ColorTransform::fit(&drawn, &values).apply(&drawn);
                 }
-                sum += psnr(&drawn, view) / self.validation.len() as f64;
+                sum += view.psnr(&drawn) / self.validation.len() as f64;
             }
             self.holdout_psnr.push((step, sum));
             let best = self.holdout_psnr.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
@@ -419,10 +389,4 @@ impl<'a> Refinement<'a> {
         let views = self.first_views(1)?;
         self.gaussians.profile(&views.iter().collect::<Vec<_>>())
     }
-}
-
-fn psnr(drawn: &[f32], view: &View) -> f64 {
-    let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
-    let squares: f64 = drawn.iter().zip(view.values()).map(square).sum();
-    -10.0 * (squares / drawn.len() as f64).max(1e-10).log10()
 }

@@ -18,6 +18,12 @@ impl View {
     pub fn values(&self) -> impl Iterator<Item = f32> {
         self.rgb.iter().map(|value| f32::from(*value) / 255.0)
     }
+
+    pub fn psnr(&self, drawn: &[f32]) -> f64 {
+        let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
+        let squares: f64 = drawn.iter().zip(self.values()).map(square).sum();
+        -10.0 * (squares / drawn.len() as f64).max(1e-10).log10()
+    }
 }
 
 /// Returns the camera of a photo `from` a size, at another size.

@@ -2,11 +2,11 @@ use crate::prelude::*;
 use zipsplat::{refine::Exposed, stages::FrameShape};
 use zipsplat_reference::refine::exposure::{exposed, exposure_backward};
 
-const REASON: &str = "running error analysis of the map and its transpose; sums over pixels, in any order, relative to their terms; \
-    values within their error of a saturated photo's white or black may be hidden or not";
+const REASON: &str = "products round once; sums of a color's terms and over pixels, in any order, relative to the terms; values within \
+    their error of a saturated photo's white or black may be hidden or not";
 
-/// Additions of a run, a subgroup and a picture.
-const ADDITIONS: usize = 2 * 8 + 128 + 8;
+/// Additions of a run, a subgroup and a picture, and a rounding of each product.
+const ADDITIONS: usize = 2 * 8 + 128 + 8 + 1;
 
 struct Problem {
     pixels: usize,
@@ -70,37 +70,29 @@ impl Problem {
 
     fn errors(&self) -> Vec<f64> {
         let count = self.frames.len();
-        let mut errors = vec![0.0; 2 * count + self.transforms.len()];
-        let mut magnitudes = vec![0.0; self.transforms.len()];
-        for pixel in 0..count / 3 {
-            let first = 12 * (pixel / self.pixels);
-            let [r, g, b] = [0, 1, 2].map(|k| Bounded::exact(self.frames[3 * pixel + k]));
-            let color = [r, g, b, Bounded::exact(1.0)];
-            let mut sums = [Bounded::exact(0.0); 3];
-            for k in 0..3 {
-                let i = 3 * pixel + k;
-                let row: [Bounded; 4] = std::array::from_fn(|c| Bounded::exact(self.transforms[first + 4 * k + c]));
-                let (value, target) = (Bounded::dot(row, color), f64::from(self.targets[i]));
-                let beyond = if target >= 1.0 { value.value - 1.0 } else { -value.value };
-                let saturated = target >= 1.0 || target <= 0.0;
-                let is_near = saturated && beyond.abs() <= value.error;
-                let d = Bounded::exact(if saturated && beyond > 0.0 && !is_near { 0.0 } else { self.gradient[i] });
-                errors[i] = value.error;
-                for c in 0..4 {
-                    let term = d * color[c];
-                    let unsure = if is_near { term.value.abs() } else { 0.0 };
-                    errors[2 * count + first + 4 * k + c] += term.error + unsure;
-                    magnitudes[first + 4 * k + c] += term.value.abs() + term.error;
-                    if c < 3 {
-                        sums[c] = sums[c] + d * row[c];
-                        sums[c].error += if is_near { (d * row[c]).value.abs() } else { 0.0 };
-                    }
-                }
+        let mut errors = vec![TINY; 2 * count + self.transforms.len()];
+        for i in 0..count {
+            let (pixel, row) = (i / 3 * 3, 12 * (i / (3 * self.pixels)) + i % 3 * 4);
+            let color = [0, 1, 2, 3].map(|k| if k < 3 { f64::from(self.frames[pixel + k]) } else { 1.0 });
+            let factors = [0, 1, 2, 3].map(|k| f64::from(self.transforms[row + k]));
+            let terms = [0, 1, 2, 3].map(|k| color[k] * factors[k]);
+            errors[i] += gamma(5) * terms.map(f64::abs).iter().sum::<f64>();
+            let (value, target) = (terms.iter().sum::<f64>(), f64::from(self.targets[i]));
+            let is_saturated = target >= 1.0 || target <= 0.0;
+            let beyond = if target >= 1.0 { value - 1.0 } else { -value };
+            if is_saturated && beyond > errors[i] {
+                continue;
             }
-            (0..3).for_each(|c| errors[count + 3 * pixel + c] = sums[c].error);
+            let is_near = is_saturated && beyond >= -errors[i];
+            let [by_color, by_pixels] = [5, ADDITIONS].map(|count| if is_near { 1.0 } else { gamma(count) });
+            let gradient = f64::from(self.gradient[i]).abs();
+            for k in 0..4 {
+                if k < 3 {
+                    errors[count + pixel + k] += by_color * gradient * factors[k].abs();
+                }
+                errors[2 * count + row + k] += by_pixels * gradient * color[k].abs();
+            }
         }
-        let sums = errors[2 * count..].iter_mut().zip(magnitudes);
-        sums.for_each(|(error, magnitude)| *error += gamma(ADDITIONS) * magnitude);
         errors
     }
 }

@@ -37,11 +37,12 @@ pub(super) type zs_refine_target_value = i32;
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_exposure_mode {
-    /// If the photos' exposures differ.
+    /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
+    /// steps.
     ZS_EXPOSURE_AUTO = 0,
     /// Never.
     ZS_EXPOSURE_OFF = 1,
-    /// Always.
+    /// From a tenth of the steps on.
     ZS_EXPOSURE_ON = 2,
 }
 
@@ -316,12 +317,9 @@ impl zs_refine_options {
         if !(0..=zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32).contains(&self.target) {
             return Err(Failure::argument("target", self.target, "a zs_refine_target"));
         }
-        let exposure = match self.exposure {
-            mode if mode == zs_exposure_mode::ZS_EXPOSURE_AUTO as i32 => Exposure::Auto,
-            mode if mode == zs_exposure_mode::ZS_EXPOSURE_OFF as i32 => Exposure::Off,
-            mode if mode == zs_exposure_mode::ZS_EXPOSURE_ON as i32 => Exposure::On,
-            mode => return Err(Failure::argument("exposure", mode, "a zs_exposure_mode")),
-        };
+        let modes = [Exposure::Auto, Exposure::Off, Exposure::On];
+        let exposure = usize::try_from(self.exposure).ok().and_then(|mode| modes.get(mode).copied());
+        let exposure = exposure.ok_or_else(|| Failure::argument("exposure", self.exposure, "a zs_exposure_mode"))?;
         let seconds = Duration::try_from_secs_f64(self.seconds)
             .map_err(|_| Failure::argument("seconds", self.seconds, "0 or a positive time"))?;
         let holdout_views = match self.holdout_views {

@@ -312,7 +312,7 @@ class Scene:
             seed: Seed of the photo order.
             optimize_cameras: Whether to optimize the training photos' cameras, except the first.
             exposure: "on" learns a color transform per photo, for photos of different exposure or
-                white balance; "auto" does if the photos' exposures differ.
+                white balance; "auto" does if they explain much of the error after a few steps.
             max_gaussians: Final number of Gaussians; at most the scene's number: no growth. "auto"
                 grows from 50 steps on, if the photos' PSNR is below 25 dB.
             perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
