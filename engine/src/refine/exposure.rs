@@ -18,8 +18,9 @@ use std::ops::Range;
 
 /// Numbers of a transform.
 pub const EXPOSURE_NUMBERS: usize = 12;
-/// Fraction of the steps before exposures are learned: the scene then resembles the photos.
-pub(super) const EXPOSURE_START: f64 = 0.1;
+/// Least steps before exposures are learned, and their part of all steps: the scene then resembles
+/// the photos.
+const WARM_UP: [usize; 2] = [10, 10];
 /// Pixels per invocation of the backward pass.
 const RUN: usize = 8;
 /// Factor of half the squared distance from the identity in a photo's loss.
@@ -111,6 +112,11 @@ fn parts(
         let part = |picture: Tensor| picture.slice::<f32>(cameras.start * values, cameras.len() * values);
         (cameras.clone(), pictures.map(part))
     })
+}
+
+/// Returns the step before which exposures may begin to be learned.
+pub(super) fn first_step(steps: usize) -> usize {
+    (steps / WARM_UP[1]).max(WARM_UP[0])
 }
 
 /// Factors of a drawn picture's red, green and blue that fit its photo best.

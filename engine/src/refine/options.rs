@@ -35,12 +35,12 @@ impl RefineLength {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Exposure {
     /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
-    /// steps.
+    /// steps, at least 10.
     #[default]
     Auto,
     /// Never.
     Off,
-    /// From a tenth of the steps on.
+    /// From a tenth of the steps on, at least 10.
     On,
 }
 

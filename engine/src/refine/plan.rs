@@ -47,6 +47,7 @@ impl RefinePlan {
 }
 
 /// Plans a refinement against `photos` photos of `[width, height]` pixels, without a device.
+/// [`Exposure::Auto`] is planned as [`Exposure::Off`].
 ///
 /// # Errors
 ///
@@ -138,7 +139,7 @@ fn record_steps(
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
-        let training = Training { options, gradients, lpips, exposure: options.exposure != Exposure::Off };
+        let training = Training { options, gradients, lpips, exposure: options.exposure == Exposure::On };
         record_photos(&mut rec, scene, shape, capacity, NEAR, Some(training));
         plans.push(rec.finish()?);
     }

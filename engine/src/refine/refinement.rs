@@ -1,7 +1,7 @@
 use super::{
     RefineOptions, RefineProgress, RefineResult, StopReason,
     cameras::Cameras,
-    exposure::{EXPOSURE_START, Exposures},
+    exposure::{Exposures, first_step},
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
@@ -176,12 +176,12 @@ impl<'a> Refinement<'a> {
     ) -> Result<Option<StopReason>> {
         let steps = self.steps;
         let interval = steps.div_ceil(EVALUATIONS).max(1);
-        let exposure_start = (EXPOSURE_START * steps as f64) as usize;
+        let first_exposed = first_step(steps);
         self.evaluate(0)?;
         self.photos.fill(&self.training)?;
         for step in 0..steps {
             self.resize(step);
-            if step == exposure_start {
+            if step == first_exposed {
                 let (training, views, count) = (&self.training, &self.measured, self.cameras.all().len());
                 self.exposures = Exposures::start(&mut self.gaussians, &self.options, training, views, count)?;
             }

@@ -91,11 +91,11 @@ enum RefineTarget {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Exposure {
     /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
-    /// steps
+    /// steps, at least 10
     Auto,
     /// Never
     Off,
-    /// From a tenth of the steps on
+    /// From a tenth of the steps on, at least 10
     On,
 }
 
