@@ -166,7 +166,7 @@ impl Default for LearningRates {
             tokens: 2e-2,
             camera_rotation: 2e-3,
             camera_translation: 2e-3,
-            exposure: 0.005,
+            exposure: 0.002,
         }
     }
 }

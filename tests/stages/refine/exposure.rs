@@ -18,7 +18,7 @@ struct Shot {
 
 fn shot() -> Shot {
     let options = Options { views: VIEWS, width: 96, height: 96, supersample: false, random_first: false };
-    let setup = Setup::new(7, &options, &Photos::default(), &|| Ok(())).unwrap();
+    let setup = Setup::new(1, &options, &Photos::default(), &|| Ok(())).unwrap();
     let capture = setup.shoot(&Photos::default(), &|| Ok(())).unwrap();
     let folder = tempfile::tempdir().unwrap();
     write_folder(folder.path(), &capture, &[]).unwrap();
