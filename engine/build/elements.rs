@@ -59,8 +59,10 @@ impl Element {
         };
         format!(
             "#extension {extension} : require\n{}#define FACTOR_COMPONENT {component}\n\
-             #define FACTOR_SUM {sum}\n#define FACTOR_IS_I8 {}\n#define pack_FACTOR4(value) {pack}\n",
+             #define FACTOR_SUM {sum}\n#define FACTOR_IS_F16 {}\n#define FACTOR_IS_I8 {}\n\
+             #define pack_FACTOR4(value) {pack}\n",
             self.macros(FACTOR),
+            u32::from(self == Element::F16),
             u32::from(self == Element::I8),
         )
     }

@@ -36,20 +36,20 @@ void main() {
         squares += values * values;
     }
     vec2 lengths = sqrt(subgroupAdd(squares)), inverse = 1 / (lengths + EPSILON);
-    vec2 sum = vec2(0); // distance, and its gradient along a
+    precise vec2 sum = vec2(0); // distance, and its gradient along a
     for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
-        vec2 values = max(vec2(a[from + c], b[from + c]), 0) * inverse;
-        float weighted = weights[c] * (values.x - values.y);
-        sum += vec2(weighted * (values.x - values.y), 2 * weighted * values.x);
+        // Contraction would tell equal features apart.
+        precise vec2 values = max(vec2(a[from + c], b[from + c]), 0) * inverse;
+        float difference = values.x - values.y;
+        sum += weights[c] * difference * vec2(difference, 2 * values.x);
     }
     sum = subgroupAdd(sum);
     if (gl_LocalInvocationID.x == 0) sums[pixel] = scale * sum.x;
     if (!GRADIENT) return;
     float along = lengths.x > 0 ? sum.y / lengths.x : 0;
     for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
-        vec2 values = max(vec2(a[from + c], b[from + c]), 0);
-        float difference = values.x * inverse.x - values.y * inverse.y;
-        float gradient = scale * (2 * weights[c] * difference * inverse.x - values.x * inverse.x * along);
+        precise vec2 values = max(vec2(a[from + c], b[from + c]), 0) * inverse;
+        float gradient = scale * (2 * weights[c] * (values.x - values.y) * inverse.x - values.x * along);
         d_a[from + c] = ADD ? d_a[from + c] + gradient : gradient;
     }
 }

@@ -7,31 +7,54 @@
 // Out       [sequences * queries, heads * dim] FACTOR, saturated
 //
 // One workgroup owns SUBGROUPS * ROWS queries of a head, one subgroup ROWS of them. Shared memory
-// stages TILE keys and values, and the f32 scores, whose rows are not addressable in matrices.
+// stages TILE keys and values, and each subgroup's weights on their way from sums to factors.
+// Scores and sums are matrices of one type, whose components are in the same places.
 // Source: FlashAttention-2 (Dao 2023).
 #version 460
 #pragma factor f16 bf16
 #extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_KHR_shader_subgroup_vote : require
 #include "shared/matrices.glsl"
+#include "shared/numbers.glsl"
 
 layout(local_size_x_id = 0) in;
 
 layout(constant_id = 5) const uint REPEAT_M = 2; // matrices along a subgroup's queries
-layout(constant_id = 6) const uint TILE = 32;    // keys in shared memory
+layout(constant_id = 6) const uint TILE = 64;    // keys in shared memory
 layout(constant_id = 7) const uint CHANNELS = 64; // of a head, padded to whole matrices
 layout(constant_id = 8) const bool POOLED = false;
+// Rescales for every tile. Lavapipe's subgroup barriers wait for the whole workgroup, so that its
+// subgroups must meet the same ones.
+layout(constant_id = 9) const bool ALWAYS = false;
+
+const float LOG2_E = 1.4426950408889634;
+// A larger rise of a row's maximum rescales its sums; weights are at most exp2(RISE).
+const float RISE = 8.0;
 
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
+const uint ELEMENTS = MATRIX_M * MATRIX_N / LANES; // components of a lane
 const uint ROWS = REPEAT_M * MATRIX_M;
 const uint STEPS = CHANNELS / MATRIX_K;  // matrices along the queries' channels
 const uint BLOCKS = CHANNELS / MATRIX_N; // matrices along the sums' channels
+const uint KEYS = TILE / MATRIX_N;       // matrices along the keys
 // 16-byte vectors, one of padding per row against bank conflicts.
 const uint PIECES = CHANNELS / 8;
 const uint STRIDE = PIECES + 1;
 const uint LOADS = (TILE * PIECES + THREADS - 1) / THREADS;
-const uint SCORE_STRIDE = TILE / 4 + 1;
+const uint WEIGHT_STRIDE = TILE / 8 + 1;
+const uint WEIGHTS = ROWS * WEIGHT_STRIDE;
+// A strip holds MATRIX_M rows of f32.
+#if FACTOR_IS_F16
+const uint STRIP = 0;
+const uint STRIP_STRIDE = CHANNELS / 4 + 1;
+#else
+const uint STRIP = WEIGHTS;
+const uint STRIP_STRIDE = (CHANNELS > TILE ? CHANNELS : TILE) / 4 + 1;
+#endif
+const uint STRIP_END = STRIP + MATRIX_M * STRIP_STRIDE;
+const uint SCRATCH = STRIP_END > WEIGHTS ? STRIP_END : WEIGHTS;
 
 layout(set = 0, binding = 0) readonly buffer Q { uvec4 q[]; };
 layout(set = 0, binding = 1) readonly buffer K { uvec4 k[]; };
@@ -47,46 +70,171 @@ layout(push_constant) uniform Push {
     uint dim;
 };
 
-shared uvec4 staged[2 * TILE * STRIDE + SUBGROUPS * ROWS * SCORE_STRIDE];
+shared uvec4 staged[2 * TILE * STRIDE + SUBGROUPS * SCRATCH];
+shared float biases[TILE]; // added to a tile's scores
 
 uvec4 next_k[LOADS];
 uvec4 next_v[LOADS];
+Left query[REPEAT_M * STEPS];
 Sums sums[REPEAT_M * BLOCKS];
-
-// Log counts of 4 keys.
-vec4 more(uint first_key) {
-    vec4 sum;
-    uint first = gl_WorkGroupID.z * keys;
-    [[unroll]] for (uint i = 0; i < 4; i++) sum[i] = log_counts[first + min(first_key + i, keys - 1)];
-    return sum;
-}
-
-#include "shared/running_softmax.glsl"
+Sums highest[REPEAT_M]; // per row, within RISE of LOG2_E * its maximum so far
+Sums total[REPEAT_M];   // of a row's weights, in parts
+Sums row;
+uint scratch; // of this subgroup
 
 void load(uint base, uint first_key) {
     [[unroll]] for (uint i = 0; i < LOADS; i++) {
-        uint at = i * THREADS + gl_LocalInvocationID.x;
-        bool real = first_key + at / PIECES < keys;
-        next_k[i] = real ? k[base + first_key * PIECES + at] : uvec4(0);
-        next_v[i] = real ? v[base + first_key * PIECES + at] : uvec4(0);
+        uint at = first_key * PIECES + i * THREADS + gl_LocalInvocationID.x;
+        next_k[i] = k[base + min(at, keys * PIECES - 1)];
+        next_v[i] = v[base + min(at, keys * PIECES - 1)];
     }
 }
 
 void stage() {
     [[unroll]] for (uint i = 0; i < LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE * PIECES) {
+        if (TILE * PIECES % THREADS == 0 || at < TILE * PIECES) {
             staged[at / PIECES * STRIDE + at % PIECES] = next_k[i];
             staged[(TILE + at / PIECES) * STRIDE + at % PIECES] = next_v[i];
         }
     }
 }
 
-void scale_sums(uint scores) {
+void stage_biases(uint first_key) {
+    for (uint i = gl_LocalInvocationID.x; i < TILE; i += THREADS) {
+        float bias = POOLED ? log_counts[gl_WorkGroupID.z * keys + min(first_key + i, keys - 1)] : 0.0;
+        biases[i] = first_key + i < keys ? bias : LOWEST;
+    }
+}
+
+// Several lanes share a row of MATRIX_N values.
+const uint QUADS = MATRIX_N / 4;
+const uint ROW_LANES = LANES <= MATRIX_M ? 1 : LANES / MATRIX_M < QUADS ? LANES / MATRIX_M : QUADS;
+const uint LANE_QUADS = QUADS / ROW_LANES;
+
+// Replaces the components of `row` by the largest of its row, or by its sum.
+void across(const bool add) {
+    uint strip = scratch + STRIP;
+    subgroupBarrier();
+    coopMatStore(row, staged, strip, STRIP_STRIDE, ROW_MAJOR);
+    subgroupBarrier();
+    for (uint i = 0; i < MATRIX_M; i += LANES / ROW_LANES) {
+        uint own = min(i + gl_SubgroupInvocationID / ROW_LANES, MATRIX_M - 1);
+        uint at = strip + own * STRIP_STRIDE + gl_SubgroupInvocationID % ROW_LANES * LANE_QUADS;
+        float x = add ? 0.0 : LOWEST;
+        [[unroll]] for (uint c = 0; c < LANE_QUADS; c++) {
+            vec4 y = uintBitsToFloat(staged[at + c]);
+            x = add ? x + dot(y, vec4(1.0)) : max(x, max(max(y.x, y.y), max(y.z, y.w)));
+        }
+        [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) {
+            float other = subgroupShuffleXor(x, apart);
+            x = add ? x + other : max(x, other);
+        }
+        subgroupBarrier(); // surplus lanes share the last row
+        [[unroll]] for (uint c = 0; c < LANE_QUADS; c++) staged[at + c] = floatBitsToUint(vec4(x));
+    }
+    subgroupBarrier();
+    coopMatLoad(row, staged, strip, STRIP_STRIDE, ROW_MAJOR);
+    subgroupBarrier();
+}
+
+#if FACTOR_IS_F16
+float rounded(float weight) { return float(float16_t(weight)); }
+#else
+float rounded(float weight) { return uintBitsToFloat(bf16_bits(vec4(weight)).x << 16); }
+#endif
+
+// Stores rounded weights of MATRIX_M queries as factors.
+void put_weights(uint m, Sums weights[KEYS]) {
+    uint at = scratch + m * MATRIX_M * WEIGHT_STRIDE;
+#if FACTOR_IS_F16
+    [[unroll]] for (uint n = 0; n < KEYS; n++) {
+        coopMatStore(Halves(weights[n]), staged, at + n * MATRIX_N / 8, WEIGHT_STRIDE, ROW_MAJOR);
+    }
+#else
+    uint strip = scratch + STRIP;
+    subgroupBarrier();
+    [[unroll]] for (uint n = 0; n < KEYS; n++) {
+        coopMatStore(weights[n], staged, strip + n * MATRIX_N / 4, STRIP_STRIDE, ROW_MAJOR);
+    }
+    subgroupBarrier();
+    for (uint i = gl_SubgroupInvocationID; i < MATRIX_M * TILE / 8; i += LANES) {
+        uint from = strip + i / (TILE / 8) * STRIP_STRIDE + i % (TILE / 8) * 2;
+        vec4 w0 = uintBitsToFloat(staged[from]);
+        vec4 w1 = uintBitsToFloat(staged[from + 1]);
+        staged[at + i / (TILE / 8) * WEIGHT_STRIDE + i % (TILE / 8)] = uvec4(pack_FACTOR4(w0), pack_FACTOR4(w1));
+    }
+#endif
+}
+
+void attend(bool biased) {
+    Sums score[REPEAT_M * KEYS];
+    [[unroll]] for (uint n = 0; n < KEYS; n++) {
+        [[unroll]] for (uint m = 0; m < REPEAT_M; m++) score[m * KEYS + n] = Sums(0);
+        [[unroll]] for (uint c = 0; c < STEPS; c++) {
+            Right key;
+            coopMatLoad(key, staged, n * MATRIX_N * STRIDE + c * MATRIX_K / 8, STRIDE, COLUMN_MAJOR);
+            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+                score[m * KEYS + n] = coopMatMulAdd(query[m * STEPS + c], key, score[m * KEYS + n]);
+            }
+        }
+    }
+    if (biased) {
+        [[unroll]] for (uint n = 0; n < KEYS; n++) {
+            Sums bias;
+            coopMatLoad(bias, biases, n * MATRIX_N, 0, ROW_MAJOR); // every row is the same
+            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) score[m * KEYS + n] = score[m * KEYS + n] + bias;
+        }
+    }
+
+    // Drivers keep matrices in registers where the innermost loop is over components.
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        Sums factor;
-        coopMatLoad(factor, staged, scores + m * MATRIX_M * SCORE_STRIDE + RESCALE, SCORE_STRIDE, ROW_MAJOR);
-        [[unroll]] for (uint n = 0; n < BLOCKS; n++) sums[m * BLOCKS + n] = sums[m * BLOCKS + n] * factor;
+        row = score[m * KEYS];
+        [[unroll]] for (uint n = 1; n < KEYS; n++) {
+            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) row[i] = max(row[i], score[m * KEYS + n][i]);
+        }
+        uint rises = 0;
+        [[unroll]] for (uint i = 0; i < ELEMENTS; i++) rises += uint(fma(LOG2_E, row[i], -highest[m][i]) > RISE);
+        if (ALWAYS || subgroupAny(rises > 0)) {
+            across(false);
+            float keep[ELEMENTS];
+            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {
+                float now = max(highest[m][i], LOG2_E * row[i]);
+                keep[i] = exp2(highest[m][i] - now);
+                highest[m][i] = now;
+                total[m][i] *= keep[i];
+            }
+            [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
+                [[unroll]] for (uint i = 0; i < ELEMENTS; i++) sums[m * BLOCKS + n][i] *= keep[i];
+            }
+        }
+    }
+
+    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+        Sums weights[KEYS];
+        [[unroll]] for (uint n = 0; n < KEYS; n++) {
+            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {
+                float weight = rounded(exp2(fma(LOG2_E, score[m * KEYS + n][i], -highest[m][i])));
+                weights[n][i] = weight;
+                total[m][i] += weight;
+            }
+        }
+        put_weights(m, weights);
+    }
+    subgroupBarrier();
+    [[unroll]] for (uint c = 0; c < TILE / MATRIX_K; c++) {
+        Left weight[REPEAT_M];
+        [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+            uint at = scratch + m * MATRIX_M * WEIGHT_STRIDE + c * MATRIX_K / 8;
+            coopMatLoad(weight[m], staged, at, WEIGHT_STRIDE, ROW_MAJOR);
+        }
+        [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
+            Right value;
+            coopMatLoad(value, staged, (TILE + c * MATRIX_K) * STRIDE + n * MATRIX_N / 8, STRIDE, ROW_MAJOR);
+            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+                sums[m * BLOCKS + n] = coopMatMulAdd(weight[m], value, sums[m * BLOCKS + n]);
+            }
+        }
     }
 }
 
@@ -94,9 +242,8 @@ void main() {
     uint head_sequence = gl_WorkGroupID.y * sequences + gl_WorkGroupID.z;
     uint first_query = (gl_WorkGroupID.x * SUBGROUPS + gl_SubgroupID) * ROWS;
     uint kv_base = head_sequence * keys * PIECES;
-    uint scores = 2 * TILE * STRIDE + gl_SubgroupID * ROWS * SCORE_STRIDE;
+    scratch = 2 * TILE * STRIDE + gl_SubgroupID * SCRATCH;
 
-    Left query[REPEAT_M * STEPS];
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         // Surplus queries load arbitrary rows; their results are dropped.
         uint at = (head_sequence * queries + min(first_query, queries) + m * MATRIX_M) * PIECES;
@@ -104,72 +251,44 @@ void main() {
             coopMatLoad(query[m * STEPS + c], q, at + c * MATRIX_K / 8, PIECES, ROW_MAJOR);
         }
         [[unroll]] for (uint n = 0; n < BLOCKS; n++) sums[m * BLOCKS + n] = Sums(0);
+        highest[m] = Sums(LOWEST);
+        total[m] = Sums(0);
     }
-    softmax_begin();
 
     load(kv_base, 0);
     for (uint first_key = 0; first_key < keys; first_key += TILE) {
+        bool biased = POOLED || first_key + TILE > keys;
         barrier();
         stage();
+        if (biased) stage_biases(first_key);
         barrier();
         if (first_key + TILE < keys) load(kv_base, first_key + TILE);
-        [[unroll]] for (uint n = 0; n < TILE / MATRIX_N; n++) {
-            Sums score[REPEAT_M];
-            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) score[m] = Sums(0);
-            [[unroll]] for (uint c = 0; c < STEPS; c++) {
-                Right key;
-                uint at = n * MATRIX_N * STRIDE + c * MATRIX_K / 8;
-                coopMatLoad(key, staged, at, STRIDE, COLUMN_MAJOR);
-                [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-                    score[m] = coopMatMulAdd(query[m * STEPS + c], key, score[m]);
-                }
-            }
-            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-                uint at = scores + m * MATRIX_M * SCORE_STRIDE + n * MATRIX_N / 4;
-                coopMatStore(score[m], staged, at, SCORE_STRIDE, ROW_MAJOR);
-            }
-        }
-        subgroupBarrier();
-        bool changed = softmax(scores, first_key, keys);
-        subgroupBarrier();
-        if (subgroupAny(changed)) scale_sums(scores);
-        [[unroll]] for (uint c = 0; c < TILE / MATRIX_K; c++) {
-            Left weight[REPEAT_M];
-            [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-                uint at = scores + m * MATRIX_M * SCORE_STRIDE + c * MATRIX_K / 8;
-                coopMatLoad(weight[m], staged, at, SCORE_STRIDE, ROW_MAJOR);
-            }
-            [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
-                Right value;
-                uint at = (TILE + c * MATRIX_K) * STRIDE + n * MATRIX_N / 8;
-                coopMatLoad(value, staged, at, STRIDE, ROW_MAJOR);
-                [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-                    sums[m * BLOCKS + n] = coopMatMulAdd(weight[m], value, sums[m * BLOCKS + n]);
-                }
-            }
-        }
+        attend(biased);
     }
 
-    subgroupBarrier();
-    softmax_end(scores);
-    subgroupBarrier();
-    scale_sums(scores);
-    // The scores' shared memory stages one column of matrices at a time.
-    [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
+    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+        row = total[m];
+        across(true);
+        [[unroll]] for (uint i = 0; i < ELEMENTS; i++) total[m][i] = 1.0 / row[i];
+    }
+    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
+        [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
+            [[unroll]] for (uint i = 0; i < ELEMENTS; i++) sums[m * BLOCKS + n][i] *= total[m][i];
+        }
+    }
+    uint strip = scratch + STRIP;
+    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         subgroupBarrier();
-        [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-            uint row = scores + m * MATRIX_M * SCORE_STRIDE;
-            coopMatStore(sums[m * BLOCKS + n], staged, row, SCORE_STRIDE, ROW_MAJOR);
+        [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
+            coopMatStore(sums[m * BLOCKS + n], staged, strip + n * MATRIX_N / 4, STRIP_STRIDE, ROW_MAJOR);
         }
         subgroupBarrier();
-        for (uint i = gl_SubgroupInvocationID; i < ROWS * MATRIX_N / 4; i += LANES) {
-            uint row = i / (MATRIX_N / 4);
-            uint quad = i % (MATRIX_N / 4);
-            uint channel = n * MATRIX_N + 4 * quad;
-            if (first_query + row < queries && channel < dim) {
-                uint query_row = gl_WorkGroupID.z * queries + first_query + row;
-                vec4 value = uintBitsToFloat(staged[scores + row * SCORE_STRIDE + quad]);
-                result[((query_row * heads + gl_WorkGroupID.y) * dim + channel) / 4] = to_FACTOR4(value);
+        for (uint i = gl_SubgroupInvocationID; i < MATRIX_M * CHANNELS / 4; i += LANES) {
+            uint query_row = first_query + m * MATRIX_M + i / (CHANNELS / 4);
+            uint quad = i % (CHANNELS / 4);
+            if (query_row < queries && 4 * quad < dim) {
+                uint at = ((gl_WorkGroupID.z * queries + query_row) * heads + gl_WorkGroupID.y) * dim / 4 + quad;
+                result[at] = to_FACTOR4(uintBitsToFloat(staged[strip + i / (CHANNELS / 4) * STRIP_STRIDE + quad]));
             }
         }
     }

@@ -5,7 +5,7 @@
 // Weight, Bias [width] f32
 // Out          [rows, out_stride] OUTPUT, columns from out_column on, without camera tokens
 //
-// One subgroup owns one row.
+// One subgroup owns one row, a workgroup SUBGROUPS of them.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
@@ -17,6 +17,7 @@ layout(local_size_x_id = 0) in;
 #include "shared/row_statistics.glsl"
 
 layout(constant_id = 1) const bool ADD = false;
+layout(constant_id = 2) const uint SUBGROUPS = 1;
 
 layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
 layout(set = 0, binding = 1) readonly buffer Addend { float addend[]; };
@@ -39,13 +40,13 @@ uint addend_from;
 float value_of(uint c) { return ADD ? source[from + c] + addend[addend_from + c] : source[from + c]; }
 
 void main() {
-    uint row = group_index();
+    uint row = group_index() * SUBGROUPS + gl_SubgroupID;
     if (row >= rows) return;
     from = (patches > 0 ? row + row / patches + 1 : row) * width;
     addend_from = row * width;
     Statistics statistics = row_statistics(width, eps);
     uint to = row * out_stride + out_column;
-    for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
+    for (uint c = gl_SubgroupInvocationID; c < width; c += gl_SubgroupSize) {
         result[to + c] = to_OUTPUT(normed(statistics, value_of(c)) * weight[c] + bias[c]);
     }
 }

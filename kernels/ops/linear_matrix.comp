@@ -9,7 +9,7 @@
 // Bias, Gamma, Residual, Out as in ops/linear
 //
 // One workgroup owns TILE_M x TILE_N sums, and `share` terms if SPLIT, a multiple of TILE_K; a
-// subgroup REPEAT_M x REPEAT_N matrices. Shared memory double-buffers TILE_K terms.
+// subgroup REPEAT_M x REPEAT_N matrices. Shared memory stages TILE_K terms.
 #version 460
 #pragma factor f16 bf16 i8
 #pragma element OUTPUT
@@ -30,6 +30,7 @@ layout(constant_id = 10) const bool SCALE = false;
 layout(constant_id = 11) const bool ADD = false;
 layout(constant_id = 12) const bool Q8 = false; // not with i8 FACTOR
 layout(constant_id = 13) const bool SPLIT = false;
+layout(constant_id = 14) const bool WHOLE = false; // whether `inner` is a multiple of TILE_K
 
 const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
 const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
@@ -41,7 +42,7 @@ const uint STRIDE = PIECES + QUAD;
 const uint STAGE = (TILE_M + TILE_N) * STRIDE;
 const uint STRIP_STRIDE = (SUBGROUP_N / 4 + 1) * QUAD;
 const uint STRIP = MATRIX_M * STRIP_STRIDE; // one row of a subgroup's matrices
-const uint SHARED = 2 * STAGE > SUBGROUPS * STRIP ? 2 * STAGE : SUBGROUPS * STRIP;
+const uint SHARED = STAGE > SUBGROUPS * STRIP ? STAGE : SUBGROUPS * STRIP;
 const uint THREADS = gl_WorkGroupSize.x;
 const uint A_LOADS = (TILE_M * PIECES + THREADS - 1) / THREADS;
 const uint W_LOADS = (TILE_N * PIECES + THREADS - 1) / THREADS;
@@ -70,6 +71,8 @@ shared Piece staged[SHARED];
 
 Piece next_a[A_LOADS];
 Piece next_weight[W_LOADS];
+uint first_a[A_LOADS]; // pieces of this lane in tile 0
+uint first_weight[W_LOADS];
 
 #if FACTOR_IS_I8
 Piece weight_at(uint at) { return weight[at]; }
@@ -89,32 +92,40 @@ Piece factors(Piece loaded) {
 }
 #endif
 
-// Surplus rows and columns repeat the last; terms past `inner` are 0.
-void load(uint first_row, uint first_column, uint tile) {
-    uint pieces = inner / 8;
+// Surplus rows and columns repeat the last.
+void locate(uint first_row, uint first_column) {
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        uint k = tile * PIECES + at % PIECES;
-        uint row = min(first_row + at / PIECES, rows - 1);
-        next_a[i] = k < pieces ? a[row * pieces + k] : Piece(0);
+        first_a[i] = min(first_row + at / PIECES, rows - 1) * (inner / 8) + at % PIECES;
     }
     [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        uint k = tile * PIECES + at % PIECES;
-        uint column = min(first_column + at / PIECES, columns - 1);
-        next_weight[i] = k < pieces ? weight_at(column * pieces + k) : Piece(0);
+        first_weight[i] = min(first_column + at / PIECES, columns - 1) * (inner / 8) + at % PIECES;
     }
 }
 
-void stage(uint base) {
+// Terms past `inner` are 0.
+void load(uint tile) {
+    uint piece = tile * PIECES;
+    // PIECES divides THREADS.
+    bool real = WHOLE || piece + gl_LocalInvocationID.x % PIECES < inner / 8;
+    [[unroll]] for (uint i = 0; i < A_LOADS; i++) next_a[i] = real ? a[first_a[i] + piece] : Piece(0);
+    [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
+        next_weight[i] = real ? weight_at(first_weight[i] + piece) : Piece(0);
+    }
+}
+
+void stage() {
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE_M * PIECES) staged[base + at / PIECES * STRIDE + at % PIECES] = next_a[i];
+        if (TILE_M * PIECES % THREADS == 0 || at < TILE_M * PIECES) {
+            staged[at / PIECES * STRIDE + at % PIECES] = next_a[i];
+        }
     }
     [[unroll]] for (uint i = 0; i < W_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
-        if (at < TILE_N * PIECES) {
-            staged[base + (TILE_M + at / PIECES) * STRIDE + at % PIECES] = factors(next_weight[i]);
+        if (TILE_N * PIECES % THREADS == 0 || at < TILE_N * PIECES) {
+            staged[(TILE_M + at / PIECES) * STRIDE + at % PIECES] = factors(next_weight[i]);
         }
     }
 }
@@ -154,31 +165,31 @@ void main() {
 
     uint first = SPLIT ? gl_WorkGroupID.z * share / TILE_K : 0;
     uint tiles = ((SPLIT ? min(first * TILE_K + share, inner) : inner) + TILE_K - 1) / TILE_K;
-    load(first_row, first_column, first);
-    stage(0);
-    barrier();
+    locate(first_row, first_column);
+    load(first);
     for (uint tile = first; tile < tiles; tile++) {
-        if (tile + 1 < tiles) load(first_row, first_column, tile + 1);
-        uint base = (tile - first) % 2 * STAGE;
+        barrier();
+        stage();
+        barrier();
+        if (tile + 1 < tiles) load(tile + 1);
         [[unroll]] for (uint k = 0; k < TILE_K / MATRIX_K; k++) {
             Left left[REPEAT_M];
             [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-                uint at = base + (own_row + m * MATRIX_M) * STRIDE + k * MATRIX_K / 8;
+                uint at = (own_row + m * MATRIX_M) * STRIDE + k * MATRIX_K / 8;
                 coopMatLoad(left[m], staged, at, STRIDE, ROW_MAJOR);
             }
             [[unroll]] for (uint n = 0; n < REPEAT_N; n++) {
                 Right right;
-                uint at = base + (TILE_M + own_column + n * MATRIX_N) * STRIDE + k * MATRIX_K / 8;
+                uint at = (TILE_M + own_column + n * MATRIX_N) * STRIDE + k * MATRIX_K / 8;
                 coopMatLoad(right, staged, at, STRIDE, COLUMN_MAJOR);
                 [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
                     sums[m * REPEAT_N + n] = coopMatMulAdd(left[m], right, sums[m * REPEAT_N + n]);
                 }
             }
         }
-        if (tile + 1 < tiles) stage(STAGE - base);
-        barrier();
     }
 
+    barrier();
     uint strip = gl_SubgroupID * STRIP;
     const uint quads = SUBGROUP_N / 4 / MERGED;
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {

@@ -7,8 +7,8 @@
 // Out          [heads, out_rows, out_dim] ELEMENT, 0 from channel dim on;
 //              [heads, sequences, panels, dim, panel] if TRANSPOSE, the last panel padded
 //
-// One subgroup owns one head of one row of Out, a lane two channels at a time. POOL averages POOL x
-// POOL patches, cropped at the view's border.
+// One subgroup owns one head of one row of Out, a lane two channels at a time, a workgroup SUBGROUPS
+// heads. POOL averages POOL x POOL patches, cropped at the view's border.
 // Sources: Token Merging (Bolya et al. 2023); RoPE 2D (Su et al. 2021; DA3): half of the channels
 // rotate by y, half by x, in pairs a quarter head apart.
 #version 460
@@ -26,6 +26,7 @@ layout(constant_id = 2) const bool ROTATE = false;
 layout(constant_id = 3) const bool TRANSPOSE = false;
 layout(constant_id = 4) const uint POOL = 1;
 layout(constant_id = 5) const bool COUNT = false;
+layout(constant_id = 6) const uint SUBGROUPS = 1;
 
 layout(set = 0, binding = 0) readonly buffer Projection { ELEMENT projection[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
@@ -114,7 +115,7 @@ vec2 pair(Statistics statistics, uint row, uint head, uint p) {
 }
 
 void main() {
-    uint index = group_index();
+    uint index = group_index() * SUBGROUPS + gl_SubgroupID;
     if (index >= rows * heads) return;
     uint row = index / heads;
     uint head = index % heads;
@@ -127,7 +128,7 @@ void main() {
             statistics[i] = row_statistics(dim, eps);
         }
     }
-    for (uint p = gl_LocalInvocationID.x; p < dim / 2; p += gl_WorkGroupSize.x) {
+    for (uint p = gl_SubgroupInvocationID; p < dim / 2; p += gl_SubgroupSize) {
         vec2 x = pair(statistics[0], member(group, 0), head, p);
         for (uint i = 1; i < members; i++) x += pair(statistics[i], member(group, i), head, p);
         if (POOL > 1) x /= float(members);
@@ -136,9 +137,9 @@ void main() {
         store(head, first_row + row, pair_channel(p) + dim / 4, x.y);
     }
     if (!TRANSPOSE) {
-        for (uint c = dim + gl_LocalInvocationID.x; c < out_dim; c += gl_WorkGroupSize.x) {
+        for (uint c = dim + gl_SubgroupInvocationID; c < out_dim; c += gl_SubgroupSize) {
             store(head, first_row + row, c, 0.0);
         }
     }
-    if (COUNT && head == 0 && gl_LocalInvocationID.x == 0) log_counts[first_row + row] = log(float(members));
+    if (COUNT && head == 0 && gl_SubgroupInvocationID == 0) log_counts[first_row + row] = log(float(members));
 }

@@ -15,6 +15,9 @@ layout(constant_id = 4) const uint MATRIX_K = 16;
 #define Left coopmat<FACTOR_COMPONENT, gl_ScopeSubgroup, MATRIX_M, MATRIX_K, gl_MatrixUseA>
 #define Right coopmat<FACTOR_COMPONENT, gl_ScopeSubgroup, MATRIX_K, MATRIX_N, gl_MatrixUseB>
 #define Sums coopmat<FACTOR_SUM, gl_ScopeSubgroup, MATRIX_M, MATRIX_N, gl_MatrixUseAccumulator>
+#if FACTOR_IS_F16
+#define Halves coopmat<float16_t, gl_ScopeSubgroup, MATRIX_M, MATRIX_N, gl_MatrixUseAccumulator>
+#endif
 const int ROW_MAJOR = gl_CooperativeMatrixLayoutRowMajor;
 const int COLUMN_MAJOR = gl_CooperativeMatrixLayoutColumnMajor;
 

@@ -1,8 +1,7 @@
 // Layer norm statistics of a row by one subgroup, for values of any offset and magnitude.
 //
 // The second pass avoids cancellation in the variance and corrects the mean's rounding error
-// (two-pass algorithm of Chan, Golub and LeVeque 1983). The includer defines `value_of` and
-// declares its layout first.
+// (two-pass algorithm of Chan, Golub and LeVeque 1983). The includer defines `value_of`.
 
 float value_of(uint channel);
 
@@ -16,7 +15,7 @@ struct Statistics {
 Statistics row_statistics(uint width, float eps) {
     float sum = 0.0;
     float largest = 0.0;
-    for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
+    for (uint c = gl_SubgroupInvocationID; c < width; c += gl_SubgroupSize) {
         float x = value_of(c);
         sum += x;
         largest = max(largest, abs(x));
@@ -25,7 +24,7 @@ Statistics row_statistics(uint width, float eps) {
     // A power of two is exact.
     float unit = subgroupMax(largest) > 1e18 ? 5.421010862427522e-20 : 1.0;
     vec2 sums = vec2(0.0);
-    for (uint c = gl_LocalInvocationID.x; c < width; c += gl_WorkGroupSize.x) {
+    for (uint c = gl_SubgroupInvocationID; c < width; c += gl_SubgroupSize) {
         float d = (value_of(c) - mean) * unit;
         sums += vec2(d, d * d);
     }

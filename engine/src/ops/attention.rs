@@ -1,5 +1,6 @@
 use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
+    rows::row_subgroups,
     tile::choose,
     uniform::{UNIFORM_TILE, terms_of},
 };
@@ -125,6 +126,7 @@ impl Attention {
         });
         let (rows, first_row) = (Pool::keys_of(pool, rows), Pool::keys_of(pool, first_row));
         let log_counts = part.log_counts.filter(|_| pool.is_some());
+        let subgroups = row_subgroups(rec.limits());
         let kernel = ops::SplitHeads {
             projection,
             weight: norm_weight,
@@ -153,9 +155,10 @@ impl Attention {
             pool: pool.map_or(1, |pool| pool.side) as u32,
             count: log_counts.is_some(),
             transpose: part.keys && matches!(self.kernel, AttentionKernel::Lanes(_)),
+            subgroups,
             element: self.kernel.element(),
         };
-        rec.dispatch_groups(kernel, rows * self.heads.count);
+        rec.dispatch_groups(kernel, (rows * self.heads.count).div_ceil(subgroups as usize));
     }
 
     pub fn scale(&self) -> f32 {
@@ -256,6 +259,7 @@ impl Attention {
             tile: tile.k,
             channels: self.channels() as u32,
             pooled: self.pool.is_some(),
+            always: rec.limits().cpu && tile.subgroups[0] > 1,
             factor,
         };
         self.dispatch(rec, kernel, tile.sides(units)[0]);
@@ -287,7 +291,7 @@ mod tests {
     use crate::ops::Tiles;
 
     #[test]
-    fn few_queries_get_small_tiles_and_only_measuring_gets_several_matrices_a_subgroup() {
+    fn few_queries_get_small_tiles_and_only_measuring_gets_one_matrix_a_subgroup() {
         let limits = Limits::default();
         let units = Units::of(Element::F16, &limits).expect("an ordinary device has matrix units");
         let choose = |units, queries, count, dim| {
@@ -297,8 +301,8 @@ mod tests {
         };
         let tiles = Tile::attention(&limits, units, Tile::TUNED_CHANNELS);
         assert_eq!([(1, 1), (60_000, 24)].map(|(q, h)| choose(units, q, h, 64).subgroups), [[1, 1], [4, 1]]);
-        assert!([(1, 1), (300, 16), (60_000, 24)].iter().all(|&(q, h)| choose(units, q, h, 64).repeats == [1, 1]));
-        assert!(tiles.iter().any(|tile| tile.repeats == [2, 1]));
+        assert!([(1, 1), (300, 16), (60_000, 24)].iter().all(|&(q, h)| choose(units, q, h, 64).repeats == [2, 1]));
+        assert!(tiles.iter().any(|tile| tile.repeats == [1, 1]));
         for (index, tile) in tiles.iter().enumerate() {
             let units = Units { tiles: Tiles::always(index), ..units };
             assert_eq!([16, 64].map(|channels| choose(units, 300, 16, channels)), [*tile; 2]);

@@ -1,4 +1,4 @@
-use super::{Columns, Rows, row_chunks};
+use super::{Columns, Rows, row_chunks, rows::row_subgroups};
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::ops,
@@ -40,6 +40,7 @@ impl Norm {
         let Columns { of: out, first: out_column, .. } = out.into();
         let (view, input_view) = (patches.max(1), patches.max(1) + patches.min(1));
         let widths = [input_view * input.row_bytes(), view * input.row_bytes(), view * out.row_bytes()];
+        let subgroups = row_subgroups(rec.limits());
         for part in row_chunks(rec, out.count / view, &widths) {
             let rows = part.start * view..part.end * view;
             let kernel = ops::LayerNorm {
@@ -55,9 +56,10 @@ impl Norm {
                 patches: patches as u32,
                 eps: self.eps,
                 add: addend.is_some(),
+                subgroups,
                 output: out.element,
             };
-            rec.dispatch_groups(kernel, rows.len());
+            rec.dispatch_groups(kernel, rows.len().div_ceil(subgroups as usize));
         }
     }
 }

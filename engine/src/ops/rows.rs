@@ -1,5 +1,5 @@
 use crate::{
-    gpu::{Element, Recorder, Tensor},
+    gpu::{Element, Limits, Recorder, Tensor},
     kernels::ops,
 };
 use std::ops::Range;
@@ -62,6 +62,12 @@ pub(super) const SCRATCH_BYTES: u64 = 256 << 20;
 /// Rows between aligned slices, a power of two.
 pub(super) fn aligned_rows(bytes: usize) -> usize {
     SLICE >> bytes.trailing_zeros().min(SLICE.trailing_zeros())
+}
+
+/// Subgroups of a workgroup in kernels that give a subgroup a row. Workgroups of one subgroup leave
+/// large GPUs idle.
+pub(super) fn row_subgroups(limits: &Limits) -> u32 {
+    if limits.cpu { 1 } else { (128 / limits.subgroup_size).max(1) }
 }
 
 /// Every tensor's part is aligned and fits a binding and the budget.

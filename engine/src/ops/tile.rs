@@ -75,16 +75,14 @@ impl Tile {
     /// Head channels in attention tuning, as in every DA3 network.
     pub const TUNED_CHANNELS: usize = 64;
 
-    /// Candidates: two defaults, larger first.
+    /// Candidates: three defaults on GPUs, larger first.
     pub fn linear(limits: &Limits, units: Units) -> Vec<Self> {
         // With bytes per shared memory row.
         const GPU: &[(Layout, u32)] = &[
-            (([2, 2], [64, 64]), 64),
-            (([2, 2], [32, 32]), 64),
+            (([4, 2], [48, 64]), 128),
+            (([2, 4], [64, 32]), 128),
             (([2, 2], [32, 32]), 128),
-            (([2, 2], [64, 32]), 64),
-            (([4, 2], [32, 64]), 64),
-            (([2, 4], [64, 32]), 64),
+            (([2, 2], [64, 64]), 64),
         ];
         // CPUs emulate matrices by loops that compile slowly.
         const CPU: &[(Layout, u32)] = &[(([2, 2], [16, 16]), 16), (([1, 1], [16, 16]), 16)];
@@ -96,28 +94,35 @@ impl Tile {
         // Mirrors kernels/ops/linear_matrix.comp.
         let shared_bytes = |tile: &Self| {
             let [rows, columns] = tile.sides(units);
-            let stages = 2 * (rows + columns) as u32 * (tile.k * factor_bytes + 16);
-            stages.max(tile.all_subgroups() * shape.m * (tile.repeats[1] * shape.n * 4 + 16))
+            let stage = (rows + columns) as u32 * (tile.k * factor_bytes + 16);
+            stage.max(tile.all_subgroups() * shape.m * (tile.repeats[1] * shape.n * 4 + 16))
         };
         let tiles = if limits.cpu { CPU } else { GPU }.iter().map(tile);
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates, 16-query defaults first, larger first.
+    /// Candidates, 32-query defaults first, larger first.
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
-        let shape = units.shape;
-        let queries: &[u32] = if limits.cpu { &[8] } else { &[16, 32] };
+        let Units { factor, shape, .. } = units;
+        let (queries, keys): (&[u32], &[u32]) = if limits.cpu { (&[8], &[16]) } else { (&[32, 16], &[64, 32]) };
         let tiles = queries.iter().flat_map(|queries| {
             let repeat = queries.div_ceil(shape.m);
-            // Every lane packs at least 8 scores of a row.
-            let row_lanes = (limits.subgroup_size / (repeat * shape.m)).max(1);
-            let k = (2 * shape.n.max(shape.k)).max(8 * row_lanes);
-            [4, 2, 1].map(|subgroups| Self { subgroups: [subgroups, 1], repeats: [repeat, 1], k })
+            let tile = move |subgroups, keys: u32| Self {
+                subgroups: [subgroups, 1],
+                repeats: [repeat, 1],
+                k: keys.next_multiple_of(shape.n.max(shape.k)),
+            };
+            [4, 2, 1].into_iter().flat_map(move |subgroups| keys.iter().map(move |keys| tile(subgroups, *keys)))
         });
         // Mirrors kernels/ops/attention_matrix.comp.
         let shared_bytes = |tile: &Self| {
-            let values = 2 * tile.k * (channels as u32 / 8 + 1);
-            16 * (values + tile.sides(units)[0] as u32 * (tile.k / 4 + 1))
+            let (channels, rows) = (channels as u32, tile.repeats[0] * shape.m);
+            let (staged, weights) = (2 * tile.k * (channels / 8 + 1), rows * (tile.k / 8 + 1));
+            let scratch = match factor {
+                Element::F16 => weights.max(shape.m * (channels / 4 + 1)),
+                _ => weights + shape.m * (channels.max(tile.k) / 4 + 1),
+            };
+            16 * (staged + tile.subgroups[0] * scratch) + 4 * tile.k
         };
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }

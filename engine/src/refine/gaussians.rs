@@ -56,8 +56,10 @@ pub(super) struct Gaussians {
     options: RefineOptions,
     learns_exposures: bool,
     clear: Run,
+    /// Also clears the gradients.
     update: Run,
     schedule: Tensor,
+    cleared: bool,
     lpips: Option<LpipsWeights>,
     steps: u32,
     plans: PlanCache<(), PhotoPlan>,
@@ -125,8 +127,9 @@ impl Gaussians {
             options: options.clone(),
             learns_exposures: false,
             clear,
-            update,
+            update: update.in_flight()?,
             schedule,
+            cleared: false,
             lpips,
             steps: 0,
             plans: PlanCache::new(limits, capacity),
@@ -138,7 +141,9 @@ impl Gaussians {
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
         let found = loop {
-            self.clear.execute()?;
+            if !self.cleared {
+                self.clear.execute()?;
+            }
             if let Some(found) = self.add_all(&views)? {
                 break found;
             }
@@ -146,6 +151,7 @@ impl Gaussians {
         self.steps += 1;
         self.update.write(self.schedule, &ADAM.schedule(rate, self.steps))?;
         self.update.execute()?;
+        self.cleared = true;
         Ok(found)
     }
 
@@ -196,6 +202,7 @@ impl Gaussians {
 
     /// Runs the plan of photos of one size. Returns `None` after an overflow; the next is larger.
     fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
+        self.cleared &= !backward;
         let plan = self.plan(views, backward)?;
         plan.write(views)?;
         plan.run.execute()?;
@@ -222,7 +229,8 @@ impl Gaussians {
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
-            Ok(PhotoPlan { run, recorded })
+            // Staging saves a wait per input and output.
+            Ok(PhotoPlan { run: run.in_flight()?, recorded })
         })
     }
 
@@ -306,8 +314,12 @@ pub(super) fn filling(
     fills: impl Iterator<Item = (Tensor, f32)>,
 ) -> Result<Run> {
     let mut rec = Recorder::new(arena.device().limits());
-    fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
+    record_fills(&mut rec, fills);
     Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])
+}
+
+pub(super) fn record_fills(rec: &mut Recorder, fills: impl Iterator<Item = (Tensor, f32)>) {
+    fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
 }
 
 fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
@@ -321,5 +333,6 @@ fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Ru
     let Field { values: scales, len, rate, .. } = &fields[1];
     let rate = LIMIT_RATE * rate.first;
     rec.scope("anisotropy", |rec| record_anisotropy_limit(rec, *scales, schedule, MAX_ANISOTROPY, rate, len / 3));
+    record_fills(&mut rec, fields.iter().map(|field| (field.gradient, field.penalty)));
     Ok((Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])?, schedule))
 }

@@ -4,7 +4,7 @@
 
 use super::{
     RefineOptions, Space,
-    gaussians::{ADAM, Gaussians, filling, scene_gradients, scene_tensors},
+    gaussians::{ADAM, Gaussians, filling, record_fills, scene_gradients, scene_tensors},
     record_adam,
 };
 use crate::{
@@ -82,10 +82,11 @@ pub(super) fn gaussians(
         record_adam(rec, ADAM, moved, d_tokens, [first, second], schedule, rate, Space::Linear, len);
     });
     head.record_kept(&mut rec, moved, &kept, &scene);
+    let gradients = begin(gradients, len, options);
+    record_fills(&mut rec, gradients.into_iter());
     let memories = vec![memory, weights.clone()];
     let update = (Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
 
-    let gradients = begin(gradients, len, options);
     let gaussians = Gaussians::of(arena, options, memories, scene, gradients, update)?;
     let scene = gaussians.scene()?;
     Ok((gaussians, scene))

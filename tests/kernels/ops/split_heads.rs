@@ -26,6 +26,7 @@ struct Call {
     side: usize,
 }
 
+const SUBGROUPS: usize = 3;
 const PLAIN: Call = Call {
     heads: 3,
     dim: 16,
@@ -93,9 +94,10 @@ impl Call {
             norm: self.norm,
             rotate: self.grid.is_some(),
             transpose,
+            subgroups: SUBGROUPS as u32,
             element,
         };
-        case.rec.dispatch_groups(kernel, rows * heads);
+        case.rec.dispatch_groups(kernel, (rows * heads).div_ceil(SUBGROUPS));
         let run = case.run().unwrap();
         let mut got = element.decode(&run.read::<u8>(out).unwrap());
         let found_counts: Vec<f32> = run.read(log_counts).unwrap();

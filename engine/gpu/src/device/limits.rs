@@ -64,6 +64,8 @@ pub struct MatrixShape {
 pub struct Matrices {
     /// f16 factors, f32 sums.
     pub f16: Option<MatrixShape>,
+    /// Whether that shape also has f16 sums.
+    pub f16_sums: bool,
     /// bf16 factors, f32 sums (VK_KHR_shader_bfloat16).
     pub bf16: Option<MatrixShape>,
     /// Signed 8-bit factors, 32-bit sums.
@@ -120,6 +122,7 @@ impl Default for Limits {
             half_storage: true,
             matrices: Matrices {
                 f16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
+                f16_sums: true,
                 bf16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
                 i8: Some(MatrixShape { m: 16, n: 16, k: 32 }),
             },

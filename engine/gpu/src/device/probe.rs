@@ -211,9 +211,10 @@ fn find_matrices(
         let best = shapes.iter().filter(fits).max_by_key(size)?;
         Some(MatrixShape { m: best.m_size, n: best.n_size, k: best.k_size })
     };
-    let (f32, i32) = (Component::FLOAT32, Component::SINT32);
+    let (f16, f32, i32) = (Component::FLOAT16, Component::FLOAT32, Component::SINT32);
     Matrices {
-        f16: largest(Component::FLOAT16, f32),
+        f16: largest(f16, f32),
+        f16_sums: largest(f16, f32) == largest(f16, f16),
         bf16: largest(bfloat16::COMPONENT_TYPE, f32).filter(|_| offers.bf16),
         i8: largest(Component::SINT8, i32).filter(|_| offers.i8),
     }

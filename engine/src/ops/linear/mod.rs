@@ -263,6 +263,7 @@ impl Linear {
             q8: self.kernel.weights() == Weights::Q8,
             share: split_k as u32,
             split: split_k < inner,
+            whole: inner.is_multiple_of(tile.k as usize),
             factor,
             output: out.element,
         });
@@ -278,7 +279,7 @@ impl Linear {
             let [tile_rows, tile_columns] = tile.sides(units);
             rows.div_ceil(tile_rows) * self.columns.div_ceil(tile_columns)
         };
-        choose(&candidates, units.tiles.of(rows * self.columns), if limits.cpu { 1 } else { 2 }, workgroups)
+        choose(&candidates, units.tiles.of(rows * self.columns), if limits.cpu { 1 } else { 3 }, workgroups)
     }
 
     fn flops(&self, rows: usize) -> u64 {
