@@ -2,8 +2,8 @@ use crate::prelude::*;
 use zipsplat::{refine::Exposed, stages::FrameShape};
 use zipsplat_reference::refine::exposure::{exposed, exposure_backward};
 
-const REASON: &str = "products round once; sums of a color's terms and over pixels, in any order, relative to the terms; values within \
-    their error of a saturated photo's white or black may be hidden or not";
+const REASON: &str = "products round once; sums of a color's terms and over pixels, in any order, relative to the terms; \
+    values within their error of a saturated photo's white or black may be hidden or not";
 
 /// Additions of a run, a subgroup and a picture, and a rounding of each product.
 const ADDITIONS: usize = 2 * 8 + 128 + 8 + 1;
