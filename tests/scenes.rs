@@ -17,6 +17,7 @@ pub fn golden_scene(golden: &Golden) -> Scene {
         opacities: golden.f32("opacities"),
         sh_coeffs: cast_slice(&golden.f32("sh")).to_vec(),
         sh_degree: coeffs.isqrt() as u32 - 1,
+        antialiased: false,
     }
 }
 

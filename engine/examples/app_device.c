@@ -201,7 +201,8 @@ static zs_scene *make_scene(void) {
     const float means[] = {-0.5f, 0, 3, 0, 0, 4, 0.5f, 0.2f, 3}, scales[] = {0.3f, 0.1f, 0.2f, 0.5f, 0.5f, 0.5f, 0.1f, 0.4f, 0.1f};
     const float quats[] = {1, 0, 0, 0, 1, 0, 0, 0.5f, 1, 0.3f, 0, 0}, opacities[] = {0.9f, 0.7f, 0.8f};
     const float colors[] = {1.5f, -1, -1, -1, 1.5f, -1, -1, -1, 1.5f};
-    const zs_gaussians arrays = {sizeof arrays, 0, 3, means, scales, quats, opacities, colors};
+    const zs_gaussians arrays = {.struct_size = sizeof arrays, .count = 3, .means = means, .scales = scales,
+                                 .quats = quats, .opacities = opacities, .sh_coeffs = colors};
     zs_scene *scene;
     zs(zs_scene_create(&arrays, &scene), "scene");
     return scene;

@@ -44,7 +44,7 @@ class RenderBuffers(Sized):
 
 class Gaussians(Sized):
     _fields_ = fields(sh_degree=u32, count=size, means=pointer, scales=pointer, quats=pointer, opacities=pointer,
-                      sh_coeffs=pointer)
+                      sh_coeffs=pointer, antialiased=u32, reserved=u32)
 
 
 class ReconstructOptions(Sized):

@@ -28,9 +28,8 @@ layout(constant_id = 8) const bool POOLED = false;
 // subgroups must meet the same ones.
 layout(constant_id = 9) const bool ALWAYS = false;
 
-const float LOG2_E = 1.4426950408889634;
-// A larger rise of a row's maximum rescales its sums; weights are at most exp2(RISE).
-const float RISE = 8.0;
+// A larger rise of a row's maximum rescales its sums; weights are at most exp(RISE).
+const float RISE = 5.0;
 
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
@@ -77,7 +76,7 @@ uvec4 next_k[LOADS];
 uvec4 next_v[LOADS];
 Left query[REPEAT_M * STEPS];
 Sums sums[REPEAT_M * BLOCKS];
-Sums highest[REPEAT_M]; // per row, within RISE of LOG2_E * its maximum so far
+Sums highest[REPEAT_M]; // per row, a score within RISE of its maximum so far
 Sums total[REPEAT_M];   // of a row's weights, in parts
 Sums row;
 uint scratch; // of this subgroup
@@ -194,13 +193,13 @@ void attend(bool biased) {
             [[unroll]] for (uint i = 0; i < ELEMENTS; i++) row[i] = max(row[i], score[m * KEYS + n][i]);
         }
         uint rises = 0;
-        [[unroll]] for (uint i = 0; i < ELEMENTS; i++) rises += uint(fma(LOG2_E, row[i], -highest[m][i]) > RISE);
+        [[unroll]] for (uint i = 0; i < ELEMENTS; i++) rises += uint(row[i] - highest[m][i] > RISE);
         if (ALWAYS || subgroupAny(rises > 0)) {
             across(false);
             float keep[ELEMENTS];
             [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {
-                float now = max(highest[m][i], LOG2_E * row[i]);
-                keep[i] = exp2(highest[m][i] - now);
+                float now = max(highest[m][i], row[i]);
+                keep[i] = exp(highest[m][i] - now);
                 highest[m][i] = now;
                 total[m][i] *= keep[i];
             }
@@ -214,7 +213,7 @@ void attend(bool biased) {
         Sums weights[KEYS];
         [[unroll]] for (uint n = 0; n < KEYS; n++) {
             [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {
-                float weight = rounded(exp2(fma(LOG2_E, score[m * KEYS + n][i], -highest[m][i])));
+                float weight = rounded(exp(score[m * KEYS + n][i] - highest[m][i]));
                 weights[n][i] = weight;
                 total[m][i] += weight;
             }

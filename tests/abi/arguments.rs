@@ -280,6 +280,7 @@ fn what_cannot_be_drawn_is_refused() {
     refused(&good, &picture, 1, &zs_render_options { format: 5, ..options }, "pixel format");
     refused(&good, &picture, 1, &zs_render_options { depth: 7, ..options }, "depth");
     refused(&good, &picture, 1, &zs_render_options { near_plane: -1.0, ..options }, "near_plane");
+    refused(&good, &picture, 1, &zs_render_options { antialiasing: 3, ..options }, "antialiasing");
     refused(&good, &picture, 1, &zs_render_options { background: [f32::NAN; 3], ..options }, "background");
     // SAFETY: zero cameras are not accessed.
     ok(unsafe { zs_render(renderer.handle, null(), null(), 0, null()) });
@@ -295,7 +296,7 @@ fn what_is_no_scene_is_refused() {
         quats: vec![[1.0, 0.0, 0.0, 0.0]],
         opacities: vec![0.5],
         sh_coeffs: vec![[0.0; 3]],
-        sh_degree: 0,
+        ..zipsplat::types::Scene::default()
     };
     let array = arrays(&gaussians);
     let refuses = |array: &zs_gaussians, word: &str| {
@@ -308,6 +309,8 @@ fn what_is_no_scene_is_refused() {
     }
     refuses(&zs_gaussians { sh_degree: 4, ..array }, "sh_degree");
     refuses(&zs_gaussians { sh_degree: u32::MAX, ..array }, "sh_degree");
+    refuses(&zs_gaussians { antialiased: 2, ..array }, "antialiased");
+    refuses(&zs_gaussians { reserved: 1, ..array }, "reserved");
     refuses(&zs_gaussians { means: null(), ..array }, "means");
     refuses(&zs_gaussians { struct_size: 999, ..array }, "struct_size");
     let opacity = [2.0f32];

@@ -231,6 +231,7 @@ pub fn read(scene: &Object<zs_scene>) -> Scene {
             opacities: std::slice::from_raw_parts(found.opacities, n).to_vec(),
             sh_coeffs: std::slice::from_raw_parts(found.sh_coeffs.cast(), n * k).to_vec(),
             sh_degree: found.sh_degree,
+            antialiased: found.antialiased == 1,
         }
     }
 }
@@ -250,6 +251,7 @@ pub fn arrays(scene: &Scene) -> zs_gaussians {
         quats: scene.quats.as_ptr().cast(),
         opacities: scene.opacities.as_ptr(),
         sh_coeffs: scene.sh_coeffs.as_ptr().cast(),
+        antialiased: scene.antialiased.into(),
         ..Versioned::new()
     }
 }

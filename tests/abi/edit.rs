@@ -54,7 +54,7 @@ fn edits_equal_the_engines_and_count() {
             Edit::new(name, &edit.numbers[..count]).expect("a valid edit")
         })
         .collect();
-    let (expected, reports) = Scene::concat(a, b).edit(&engine, &[camera]).expect("a scene");
+    let (expected, reports) = Scene::concat(a, b).expect("alike").edit(&engine, &[camera]).expect("a scene");
     assert_eq!(found, expected);
     assert_eq!(counts, reports.iter().map(|report| report.after).collect::<Vec<_>>());
     assert!(counts.last().is_some_and(|count| (1..150).contains(count)), "{counts:?}");
@@ -71,6 +71,9 @@ fn invalid_edits_name_the_field() {
     fails(&[edit(ZS_EDIT_SCALE, &[-2.0])], &["scale", "-2"]);
     fails(&[edit(ZS_EDIT_MIN_VIEWS, &[1.0])], &["min-views", "no cameras"]);
     fails(&[edit(ZS_EDIT_CROP_SPHERE, &[0.0, 0.0, 90.0, 1.0])], &["crop-sphere", "no Gaussian"]);
+    let tagged = scene_of(&Scene { antialiased: true, ..random_scene(20, 0, 0.1) });
+    refused(edited(&[&scene, &tagged], &[], &[]), ZS_ERROR_ARGUMENT, &["merge", "antialiased"]);
+    assert!(edited(&[&tagged, &tagged], &[], &[]).expect("a scene").0.antialiased);
     refused(edited(&[], &[], &[]), ZS_ERROR_ARGUMENT, &["scenes", "0", "1 or more"]);
     let one = [scene.handle.cast_const()];
     let edit = |scenes, count, edits, edit_count| {

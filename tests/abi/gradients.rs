@@ -76,7 +76,8 @@ impl Case {
 
 fn options(depth: zs_depth_mode) -> zs_render_options {
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGB_F32);
-    zs_render_options { depth: depth as i32, background: [0.2, 0.1, 0.4], antialiased: 1, ..options }
+    let antialiasing = zs_antialiasing::ZS_ANTIALIASING_ON as i32;
+    zs_render_options { depth: depth as i32, background: [0.2, 0.1, 0.4], antialiasing, ..options }
 }
 
 #[test]
@@ -105,7 +106,7 @@ fn are_rusts_bits() {
             alpha: true,
             depth: Some(kind),
             background: [0.2, 0.1, 0.4],
-            antialiased: true,
+            antialiased: Some(true),
             ..RenderOptions::default()
         };
         let (cameras, frames) = (case.cameras.each_ref().map(camera), [0, 1].map(frame));

@@ -27,7 +27,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_device_options { struct_size, validation, max_memory_bytes, device, cache_dir }
         zs_image { struct_size, format, width, height, stride, pixels }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
-        zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
+        zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs, antialiased, reserved }
         zs_capture_info { struct_size, reserved, view_count, warnings }
         zs_capture_view { struct_size, reserved, name, path, camera }
         zs_scene_open_options { struct_size, drop_invalid, format }
@@ -59,7 +59,7 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, stop_reason, steps, best_step, initial_loss, final_loss, initial_psnr, best_psnr, seconds,
             initial_training_psnr, best_training_psnr, cameras
         }
-        zs_render_options { struct_size, format, depth, antialiased, background, near_plane }
+        zs_render_options { struct_size, format, depth, antialiasing, background, near_plane }
         zs_render_buffers { struct_size, reserved, stride, pixels, alpha, depth, normals }
         zs_grad_outputs { struct_size, reserved, color, alpha, depth }
         zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras, means2d }
@@ -101,6 +101,7 @@ fn constants() -> Vec<(String, usize)> {
         zs_exposure_mode { ZS_EXPOSURE_AUTO, ZS_EXPOSURE_OFF, ZS_EXPOSURE_ON }
         zs_stop_reason { ZS_STOP_REASON_FINISHED, ZS_STOP_REASON_STOPPED, ZS_STOP_REASON_DIVERGED }
         zs_depth_mode { ZS_DEPTH_MODE_EXPECTED, ZS_DEPTH_MODE_ACCUMULATED }
+        zs_antialiasing { ZS_ANTIALIASING_AUTO, ZS_ANTIALIASING_ON, ZS_ANTIALIASING_OFF }
         zs_requirement_kind { ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE }
     };
     let versions = [ZS_VERSION_MAJOR, ZS_VERSION_MINOR, ZS_VERSION_PATCH, ZS_ABI_VERSION];

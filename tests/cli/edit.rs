@@ -57,6 +57,35 @@ fn scenes_are_merged_and_keep_a_common_world() {
     assert_eq!(world_of("d.ply"), None);
 }
 
+/// `--antialiased` sets the tag, which formats keep or lose with a note.
+#[test]
+fn the_antialiased_tag_is_kept_set_and_merged_only_with_itself() {
+    let folder = Folder::new();
+    write(&folder, "a.ply", 30, 0);
+    let antialiased = |name: &str| {
+        let json = folder.run(&format!("convert @/{name} --json")).json();
+        assert_eq!(json["antialiased"].as_bool(), Some(Scene::open(folder.path(name)).expect("a scene").antialiased));
+        json["antialiased"] == true
+    };
+    folder.run("convert @/a.ply @/b.ply --antialiased").success();
+    assert!(!antialiased("a.ply") && antialiased("b.ply"));
+    assert!(folder.run("convert @/b.ply").success().contains("degree 0, antialiased"));
+    for line in ["convert @/b.ply @/c.spz", "convert @/c.spz @/c.sog", "edit @/c.sog --scale 2 -o @/c.ply"] {
+        let outcome = folder.run(line);
+        assert!(!outcome.err.contains("antialiased"), "{line}: {}", outcome.err);
+        outcome.success();
+    }
+    assert!(antialiased("c.spz") && antialiased("c.sog") && antialiased("c.ply"));
+    assert!(
+        folder.run("edit @/b.ply --scale 2 -o @/d.glb").err.contains("d.glb cannot say that the scene is antialiased")
+    );
+    folder.run("edit @/a.ply @/b.ply -o @/d.ply").fails(3, &["scenes to merge", "antialiased"]);
+    folder.run("edit @/a.ply @/b.ply -o @/d.ply --antialiased=false").success();
+    folder.run("edit @/b.ply @/b.ply -o @/e.ply").success();
+    assert!(!antialiased("d.ply") && antialiased("e.ply"));
+    folder.run("convert @/micro.safetensors --antialiased").fails(3, &["--antialiased", "a checkpoint"]);
+}
+
 #[test]
 fn cameras_select_what_they_see_in_the_scenes_world() {
     let folder = Folder::new();

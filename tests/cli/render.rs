@@ -60,6 +60,21 @@ fn gaussians_are_drawn_as_points() {
 }
 
 #[test]
+fn antialiased_scenes_are_faded_unless_the_option_says_otherwise() {
+    let folder = folder();
+    folder.scatter("thin.ply", 200, 1, 0.02);
+    folder.run("convert @/thin.ply @/tagged.ply --antialiased").success();
+    let draw = |options: &str| {
+        folder.run(&format!("render {options} --cameras @/cameras.json -o @/out")).success();
+        contents(&folder, "out").remove("000.png").expect("a picture")
+    };
+    let [plain, faded] = [draw("@/thin.ply"), draw("@/tagged.ply")];
+    assert_ne!(plain, faded);
+    assert_eq!(draw("@/thin.ply --antialiased"), faded);
+    assert_eq!(draw("@/tagged.ply --antialiased=false"), plain);
+}
+
+#[test]
 fn depth_and_alpha_are_what_the_renderer_gives() {
     let folder = folder();
     folder.write("out/mine.txt", "stays");

@@ -124,7 +124,7 @@ fn what_is_not_asked_for_costs_nothing() {
         RenderOptions { depth: Some(Depth::Expected), ..color },
         RenderOptions { token_group: NonZeroU32::new(4), ..color },
         RenderOptions { background: [1.0; 3], ..color },
-        RenderOptions { antialiased: true, ..color },
+        RenderOptions { antialiased: Some(true), ..color },
     ];
     for request in specialized {
         let (its_kernels, mut its_tensors) = contents(&plan(&request));
@@ -154,4 +154,26 @@ fn bands_of_zeros_are_neither_stored_nor_drawn() {
     renderer.set_scene(&low).unwrap();
     assert_eq!(why(&renderer, "spherical harmonics of band 2").as_deref(), Some("not in this scene"));
     assert_eq!(why(&renderer, "normals"), None);
+}
+
+#[test]
+fn antialiased_scenes_are_drawn_as_such_unless_options_differ() {
+    let (plain, camera) = (random_scene(300, 1, 0.01), camera(40, 30));
+    let tagged = Scene { antialiased: true, ..plain.clone() };
+    let draw = |scene: &Scene, antialiased: Option<bool>| {
+        render(scene, &[camera], &RenderOptions { antialiased, ..RenderOptions::default() }).remove(0)
+    };
+    let [on, off] = [true, false].map(|antialiased| draw(&plain, Some(antialiased)));
+    assert_ne!(on, off);
+    assert_eq!((draw(&plain, None), draw(&tagged, None)), (off.clone(), on));
+    assert_eq!(draw(&tagged, Some(false)), off);
+    // The renderer keeps memory and plans of an equally large scene.
+    let mut renderer = Renderer::new(device());
+    let mut next =
+        |scene: &Scene| renderer.render_scene(scene, &[camera], &RenderOptions::default()).unwrap().remove(0);
+    let frames = [next(&plain), next(&tagged), next(&plain)];
+    assert_eq!(frames, [draw(&plain, None), draw(&tagged, None), off]);
+    assert!(renderer.scene().unwrap().read().unwrap() == plain);
+    renderer.set_scene(&tagged).unwrap();
+    assert!(renderer.scene().unwrap().read().unwrap().antialiased);
 }

@@ -8,7 +8,7 @@ use zipsplat_tests::reference::render::rasterize;
 /// Compares color and alpha with brute force in f64.
 #[track_caller]
 fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance: ImageTolerance) {
-    let frame = render(scene, &[*camera], &RenderOptions { antialiased, ..ALL }).remove(0);
+    let frame = render(scene, &[*camera], &RenderOptions { antialiased: Some(antialiased), ..ALL }).remove(0);
     let truth = rasterize::render(&reference_gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3]);
     let width = frame.width as usize;
     for (plane, channels, values, truth_values) in
@@ -111,7 +111,8 @@ fn gaussians_of_any_size_are_drawn() {
             scene.opacities.fill(0.6);
             let what = format!("scales of {scales:?}, antialiased {antialiased}");
             let tolerance = ImageTolerance::RGB_EDGE;
-            let frame = render(&scene, &[turned()], &RenderOptions { antialiased, ..ALL }).remove(0);
+            let options = RenderOptions { antialiased: Some(antialiased), ..ALL };
+            let frame = render(&scene, &[turned()], &options).remove(0);
             assert!(frame.alpha.unwrap().iter().any(|alpha| *alpha > 0.01), "{what}: nothing is drawn");
             let truth =
                 rasterize::render(&reference_gaussians(&scene), &reference_camera(&turned()), antialiased, [0.0; 3]);

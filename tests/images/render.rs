@@ -12,7 +12,7 @@ pub const ALL: RenderOptions = RenderOptions {
     normals: true,
     token_group: NonZeroU32::new(7),
     background: [0.0; 3],
-    antialiased: false,
+    antialiased: Some(false),
     near: None,
     layout: None,
 };
@@ -44,7 +44,7 @@ fn equals_the_goldens() {
         let (scene, cameras) = (golden_scene(&golden), golden_cameras(&golden));
         for (mode, antialiased) in [("classic", false), ("antialiased", true)] {
             for (depth, depth_key) in [(Depth::Accumulated, "D"), (Depth::Expected, "ED")] {
-                let request = RenderOptions { antialiased, depth: Some(depth), ..ALL };
+                let request = RenderOptions { antialiased: Some(antialiased), depth: Some(depth), ..ALL };
                 let frames = renderer.render_scene(&scene, &cameras, &request).unwrap();
                 let [color, z] = tolerances(&file, depth);
                 let case = format!("v153/{mode}");
@@ -80,7 +80,12 @@ fn compare(
 
 fn brute_force(scene: &Scene, camera: &Camera, request: &RenderOptions) -> Rendering {
     let (gaussians, camera) = (reference_gaussians(scene), reference_camera(camera));
-    reference::rasterize::render(&gaussians, &camera, request.antialiased, request.background.map(f64::from))
+    reference::rasterize::render(
+        &gaussians,
+        &camera,
+        request.antialiased == Some(true),
+        request.background.map(f64::from),
+    )
 }
 
 #[test]
@@ -90,7 +95,7 @@ fn equals_brute_force_at_every_degree_and_shape() {
     for (sh_degree, size, antialiased) in [(0, 0.01, true), (1, 0.1, false), (2, 0.5, true), (3, 3.0, false)] {
         let scene = random_scene(300, sh_degree, size);
         let camera = camera(70, 53);
-        let request = RenderOptions { antialiased, background: [0.2, 0.4, 0.8], ..ALL };
+        let request = RenderOptions { antialiased: Some(antialiased), background: [0.2, 0.4, 0.8], ..ALL };
         let frame = renderer.render_scene(&scene, &[camera], &request).unwrap().remove(0);
         let truth = brute_force(&scene, &camera, &request);
         let hold = |what: &str, values: &Option<Vec<f32>>, expected: &[f64], tolerance| {

@@ -22,7 +22,7 @@ fn pile(count: usize, opacity: f32, sigma: f32) -> Scene {
         quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
         opacities: vec![opacity; count],
         sh_coeffs: vec![[0.5; 3]; count],
-        sh_degree: 0,
+        ..Scene::default()
     }
 }
 
@@ -87,7 +87,7 @@ fn absurd_but_finite_values_spread_no_nan() {
                 _ => scene.sh_coeffs[i * coeffs] = [0.9, pick(true).clamp(-1e20, 1e20), 0.1],
             }
         }
-        let request = RenderOptions { depth: Some(Depth::Accumulated), antialiased: round % 2 == 1, ..alpha() };
+        let request = RenderOptions { depth: Some(Depth::Accumulated), antialiased: Some(round % 2 == 1), ..alpha() };
         let frame = draw(&scene, camera(64, 48), &request);
         assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.1), "round {round}: the others are still drawn");
     }

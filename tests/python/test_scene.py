@@ -57,6 +57,22 @@ def test_scenes_are_copied_and_pickled_with_every_bit(scene: zipsplat.Scene) -> 
     assert same(copy.deepcopy(scene), scene)
 
 
+def test_antialiased_scenes_stay_so_and_are_rendered_as_such(scene: zipsplat.Scene, tmp_path: Path) -> None:
+    fields = [scene.means, scene.scales * 0.02, scene.quats, scene.opacities, scene.sh_coeffs]
+    plain, tagged = zipsplat.Scene.from_arrays(*fields), zipsplat.Scene.from_arrays(*fields, antialiased=True)
+    assert not plain.antialiased and tagged.antialiased and "antialiased" in tagged._repr_html_()
+    assert pickle.loads(pickle.dumps(tagged)).antialiased and tagged.edit([("scale", 2)], merge=[tagged]).antialiased
+    for format in ("ply", "spz", "sog"):
+        assert zipsplat.Scene.from_bytes(tagged.to_bytes(format), format).antialiased
+    with pytest.raises(zipsplat.ArgumentError, match="antialiased"):
+        plain.edit(merge=[tagged])
+    camera = zipsplat.Camera.from_fov(40, 30)
+    on, off = (plain.render(camera, antialiased=mode).rgb for mode in (True, False))
+    assert (on != off).any()
+    assert (tagged.render(camera).rgb == on).all() and (plain.render(camera).rgb == off).all()
+    assert (tagged.render(camera, antialiased=False).rgb == off).all()
+
+
 def test_edits_apply_in_order_and_count(scene: zipsplat.Scene) -> None:
     edited = scene.edit([("scale", 2), ("min_opacity", float(np.median(scene.opacities))), "sort"], merge=[scene])
     kept = scene.opacities >= np.float32(np.median(scene.opacities))

@@ -18,7 +18,7 @@ fn cameras() -> Vec<Camera> {
         camera.pose.translation.x += x;
         camera
     };
-    (0..8).map(|i| at(0.02 * f64::from(i))).collect()
+    (0..16).map(|i| at(0.02 * f64::from(i))).collect()
 }
 
 fn pictures(renderer: &mut Renderer) -> Vec<RenderOutput> {

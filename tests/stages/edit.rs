@@ -150,7 +150,7 @@ fn merged_gaussians_have_the_mean_and_covariance_of_their_pair() {
         quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
         opacities: vec![0.4, 0.4],
         sh_coeffs: vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-        sh_degree: 0,
+        ..Scene::default()
     };
     let one = edited(&pair, &[edit("decimate", &[1.0])]);
     assert_eq!((one.len(), one.means[0], one.sh_coeffs[0]), (1, [0.0, 0.0, 3.0], [0.5, 0.5, 0.0]));
@@ -175,7 +175,7 @@ fn decimation_merges_near_gaussians_of_one_color() {
         quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
         opacities: vec![0.4; 4],
         sh_coeffs: vec![[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
-        sh_degree: 0,
+        ..Scene::default()
     };
     let found = edited(&scene, &[edit("decimate", &[3.0])]);
     assert_eq!(found.means, [9.0, 1.0, -0.5].map(|x| [x, 0.0, 3.0]));

@@ -59,6 +59,20 @@ export class Tab {
         }, String(value));
     }
 
+    press(id) { return this.page.$eval(`#${id}`, element => element.click()); }
+
+    // Presses a button and returns the name and bytes of the file that it saves.
+    async saved(id) {
+        const [name, base64] = await this.run(id => new Promise(resolve => {
+            zipsplat.download = async (name, blob) => {
+                const bytes = new Uint8Array(await blob.arrayBuffer());
+                resolve([name, btoa(Array.from(bytes, byte => String.fromCharCode(byte)).join(""))]);
+            };
+            document.getElementById(id).click();
+        }), id);
+        return [name, Buffer.from(base64, "base64")];
+    }
+
     until(holds, timeout = 300_000) { return this.page.waitForFunction(holds, { timeout }); }
 
     run(code, ...args) { return this.page.evaluate(code, ...args); }
@@ -71,7 +85,7 @@ export class Tab {
     async settled() {
         await this.page.waitForFunction(() => {
             const { scene, waiting } = globalThis.zipsplat ?? {};
-            return scene?.failed || scene?.drawable?.drawn && !scene.sorting && !waiting;
+            return scene?.failed || scene?.drawable?.drawn && !scene.partial && !scene.sorting && !waiting;
         }, { timeout: 300_000 });
     }
 
@@ -97,7 +111,7 @@ export class Tab {
         const path = await this.run(() => (zipsplat.path.keys = [], zipsplat.path.keep(), zipsplat.path.file()));
         writeFileSync(at("camera_path.json"), JSON.stringify(path));
         zipsplat("render", file, "--cameras", "camera_path.json", "-o", "pictures", ...options);
-        const layers = options.filter(option => option.startsWith("--")).map(option => ({ "--normals": "normal", "--gaussians-per-token": "tokens" })[option] ?? option.slice(2));
+        const layers = options.filter(option => /^--[^=]*$/.test(option)).map(option => ({ "--normals": "normal", "--gaussians-per-token": "tokens" })[option] ?? option.slice(2));
         if (layers.length) return layers.map(layer => PNG.sync.read(readFileSync(at(`pictures/000.${layer}.png`)), { skipRescale: true }));
         return PNG.sync.read(readFileSync(at("pictures/000.png")));
     }

@@ -10,7 +10,8 @@ const COUNT = 3000;
 before(() => {
     writeFileSync(at("random.ply"), randomPly(COUNT));
     zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place", "--splats");
-    for (const [name, ...options] of [["two.spz", "--spz-version", "2"], ["three.spz"], ["four.spz", "--spz-version", "4"], ["one.sog"], ["one.splat"], ["one.glb"], ["one.gltf"]])
+    for (const [name, ...options] of [["two.spz", "--spz-version", "2"], ["three.spz"], ["four.spz", "--spz-version", "4"], ["one.sog"], ["one.splat"], ["one.glb"], ["one.gltf"],
+        ["thin.ply", "--antialiased"], ["thin.spz", "--antialiased"], ["thin.sog", "--antialiased"]])
         zipsplat("convert", "random.ply", name, ...options);
 });
 
@@ -47,6 +48,17 @@ test("files of each format can be dropped", async () => {
         await tab.settled();
         assert.deepEqual(await tab.run(() => [zipsplat.scene.name, zipsplat.scene.count]), [file, COUNT]);
         await agrees(tab, file);
+    }
+    await tab.close();
+});
+
+test("antialiased scenes are drawn as such", async () => {
+    const tab = await written(["random.ply"]);
+    for (const file of ["thin.ply", "thin.spz", "thin.sog"]) {
+        await tab.drop(file, readFileSync(at(file)));
+        await tab.settled();
+        await agrees(tab, file);
+        assert.ok(psnr(await tab.picture(), await tab.rendered(file, "--antialiased=false")) < 45, `${file} is faded`);
     }
     await tab.close();
 });

@@ -17,17 +17,8 @@ async function kept(tab) {
     await tab.run(() => (zipsplat.camera.orbit(0.3, 0.1), zipsplat.camera.zoom(0.8)));
     await tab.page.keyboard.press("k");
     await tab.slide("seconds", 0.5);
-    await tab.run(() => {
-        globalThis.base64 = async blob => btoa(Array.from(new Uint8Array(await blob.arrayBuffer()), byte => String.fromCharCode(byte)).join(""));
-        globalThis.saved = new Promise(resolve => zipsplat.download = (name, blob) => base64(blob).then(text => resolve([name, text])));
-    });
     return picture;
 }
-
-const saved = async tab => {
-    const [name, base64] = await tab.run(() => globalThis.saved);
-    return [name, Buffer.from(base64, "base64")];
-};
 
 const hasFfmpeg = () => {
     try {
@@ -65,8 +56,7 @@ test("the server records what the page plays", async () => {
     const { address, stop } = await serve("view", "place/splats.ply"), tab = await Tab.open(address);
     const picture = await kept(tab);
     await tab.slide("format", "png");
-    await tab.run(() => document.getElementById("record").click());
-    const [name, bytes] = await saved(tab);
+    const [name, bytes] = await tab.saved("record");
     assert.equal(name, "splats.png");
     // The first frame of an animated PNG equals the plain picture; acTL has the number of frames.
     assert.equal(bytes.readUInt32BE(bytes.indexOf("acTL") + 4), 15);
@@ -77,11 +67,16 @@ test("the server records what the page plays", async () => {
     if (hasFfmpeg()) {
         await kept(tab);
         await tab.slide("format", "mp4");
-        await tab.run(() => document.getElementById("record").click());
-        const [name, bytes] = await saved(tab);
+        const [name, bytes] = await tab.saved("record");
         assert.ok(name === "splats.mp4" && bytes.subarray(4, 8).toString() === "ftyp", name);
     }
     await tab.screenshot("recorded");
+    await tab.press("edit-button");
+    await tab.until(() => !document.getElementById("delete").disabled);
+    await tab.press("delete");
+    await tab.until(() => zipsplat.scene.edits === 1);
+    await tab.press("record");
+    assert.match(await tab.page.$eval("#recorded", element => element.textContent), /without the edits.* zipsplat render splats.ply /);
     await tab.close();
     await stop();
 });
@@ -90,15 +85,13 @@ test("a written page says the command that records", async () => {
     const tab = await written(["place/splats.ply"]);
     await kept(tab);
     await tab.slide("format", "gif");
-    await tab.run(() => document.getElementById("record").click());
-    const [name, bytes] = await saved(tab);
+    const [name, bytes] = await tab.saved("record");
     assert.equal(name, "camera_path.json");
     writeFileSync(at(name), bytes);
     const words = await tab.page.$eval("#recorded", element => element.textContent);
     const command = /zipsplat (render splats.spz .*)$/.exec(words);
     assert.ok(command, words);
-    const scene = await tab.run(() => base64(zipsplat.scene.blob));
-    writeFileSync(at("splats.spz"), Buffer.from(scene, "base64"));
+    writeFileSync(at("splats.spz"), (await tab.saved("save-scene"))[1]);
     zipsplat(...command[1].split(" "));
     assert.equal(readFileSync(at("splats.gif")).subarray(0, 4).toString(), "GIF8");
     await tab.close();

@@ -11,7 +11,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Image, Origin, SaveOptions, Scene, SceneFormat, Unfinished, World, write_atomic},
+    types::{Image, Origin, SaveOptions, Scene, SceneFormat, Unfinished, World, spz_coarsening, write_atomic},
 };
 
 /// Levels of 16-bit depth per world unit.
@@ -145,19 +145,25 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Writes a scene with its world for `render`. Returns a note if the format cannot store it.
-pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<Option<String>> {
+/// Writes a scene with its world for `render`. Returns notes on what the format cannot store.
+pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<Vec<String>> {
     scene.save_in(path, options, world)?;
-    let keeps = SceneFormat::of_extension(path).is_none_or(|format| format.keeps_world(options));
-    Ok(match world.map(|world| &world.origin) {
-        Some(Origin::Photo(photo)) if !keeps => {
-            let path = path.display();
-            Some(format!(
-                "{path} cannot say that its world is the camera of {photo}: `render` needs --relative-to {photo}"
-            ))
-        }
-        _ => None,
-    })
+    let (mut notes, file) = (Vec::new(), path.display());
+    let Some(format) = SceneFormat::of_extension(path) else { return Ok(notes) };
+    if format == SceneFormat::Spz {
+        notes.extend(spz_coarsening(scene));
+    }
+    if scene.sh_degree > 0 && !format.keeps_view_dependence() {
+        notes.push(format!("{file} stores one color per Gaussian: view-dependent color is left out"));
+    }
+    if scene.antialiased && !format.keeps_antialiased() {
+        notes.push(format!("{file} cannot say that the scene is antialiased: `render` needs --antialiased"));
+    }
+    if let Some(Origin::Photo(photo)) = world.map(|world| &world.origin).filter(|_| !format.keeps_world(options)) {
+        let need = format!("`render` needs --relative-to {photo}");
+        notes.push(format!("{file} cannot say that its world is the camera of {photo}: {need}"));
+    }
+    Ok(notes)
 }
 
 #[derive(Serialize)]

@@ -3,6 +3,7 @@
 //
 // A scene has `count` Gaussians in the engine's axes: means [N, 3], scales [N, 3] linear, quats [N,
 // 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest` [N, K - 1, 3], half floats.
+// `antialiased` scenes have opacities for the renderer's compensation of its blur.
 // Errors are for the user.
 
 const SH_0 = 0.2820947917738781;
@@ -18,7 +19,7 @@ function half(value) {
 }
 
 function emptyScene(count, degree) {
-    const scene = { count, degree };
+    const scene = { count, degree, antialiased: false };
     for (const [name, width] of [["means", 3], ["scales", 3], ["quats", 4], ["opacities", 1], ["colors", 3]])
         scene[name] = new Float32Array(count * width);
     scene.rest = new Uint16Array(count * 3 * ((degree + 1) ** 2 - 1));
@@ -37,12 +38,15 @@ function plyHeader(bytes) {
     const text = new TextDecoder("latin1").decode(bytes.subarray(0, 1 << 16));
     const end = /(^|\n)end_header\r?\n/.exec(text);
     if (!end) throw new Error("The PLY's header has no end: the file is cut off or no PLY.");
-    const header = { start: end.index + end[0].length, count: 0, row: 0, properties: new Map() };
+    const header = { start: end.index + end[0].length, count: 0, row: 0, properties: new Map(), antialiased: false };
     let element = null;
     for (const line of text.slice(0, end.index).split(/\r?\n/)) {
         const [word, ...rest] = line.trim().split(/\s+/);
         if (word === "format" && rest[0] !== "binary_little_endian")
             throw new Error(`The PLY is ${rest[0]}: this page reads binary_little_endian, which zipsplat convert writes.`);
+        // Tags of Brush and Postshot.
+        if (word === "comment" && /^(splatrendermode:|antialiased) \S+$/i.test(rest.join(" ")))
+            header.antialiased = /^(splatrendermode: mip|antialiased 1)$/i.test(rest.join(" "));
         if (word === "element") {
             if (element === null && rest[0] !== "vertex")
                 throw new Error(`The PLY begins with ${rest[0]}s: zipsplat convert makes a PLY that this page reads.`);
@@ -59,8 +63,10 @@ function plyHeader(bytes) {
     return header;
 }
 
-function readPly(bytes, progress) {
-    const { start, count, row, properties } = plyHeader(bytes);
+// Reads the rows that are there, of `all`, unless the file is `whole`.
+async function readPly(bytes, progress, whole = true) {
+    const { start, count: all, row, properties, antialiased } = plyHeader(bytes);
+    const count = whole ? all : Math.min(all, Math.floor((bytes.length - start) / row));
     const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
         "rot_0", "rot_1", "rot_2", "rot_3"];
     const missing = names.filter(name => !properties.has(name));
@@ -71,9 +77,9 @@ function readPly(bytes, progress) {
     while (properties.has(`f_rest_${3 * perChannel}`)) ++perChannel;
     const degree = [0, 3, 8, 15].indexOf(perChannel);
     if (degree < 0) throw new Error(`The PLY has ${3 * perChannel} coefficients f_rest, where 0, 9, 24 or 45 are usual.`);
-    const view = new DataView(bytes.buffer, bytes.byteOffset), all = [...properties.values()];
+    const view = new DataView(bytes.buffer, bytes.byteOffset), columns = [...properties.values()];
     // Fast path for float-only files.
-    const values = all.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
+    const values = columns.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
     const reader = name => {
         const { at, read } = properties.get(name);
         if (values) return i => values[(i * row + at) / 4];
@@ -81,7 +87,7 @@ function readPly(bytes, progress) {
     };
     const [x, y, z, r, g, b, opacity, s0, s1, s2, ...rot] = names.map(reader);
     const rest = Array.from({ length: 3 * perChannel }, (_, j) => reader(`f_rest_${j % 3 * perChannel + Math.floor(j / 3)}`));
-    const scene = emptyScene(count, degree), fields = [[scene.means, [x, y, z]], [scene.quats, rot]];
+    const scene = { ...emptyScene(count, degree), all, antialiased }, fields = [[scene.means, [x, y, z]], [scene.quats, rot]];
     for (let i = 0; i < count; ++i) {
         for (const [field, readers] of fields)
             for (let j = 0; j < readers.length; ++j) field[i * readers.length + j] = readers[j](i);
@@ -89,7 +95,7 @@ function readPly(bytes, progress) {
         scene.scales.set([Math.exp(s0(i)), Math.exp(s1(i)), Math.exp(s2(i))], 3 * i);
         scene.opacities[i] = 1 / (1 + Math.exp(-opacity(i)));
         for (let j = 0; j < rest.length; ++j) scene.rest[i * rest.length + j] = half(rest[j](i));
-        if (i % 65536 === 0) progress(i / count);
+        if (i % 65536 === 0) await progress(i / count);
     }
     return scene;
 }
@@ -139,7 +145,7 @@ async function readSpz(packed, progress) {
     const sections = [9, 1, 3, 3, rotationBytes, rest].map(width => bytes.subarray(end, end += width * count));
     if (end > bytes.length) throw new Error(`The SPZ is cut off: ${count} Gaussians take ${end} bytes, it has ${bytes.length}.`);
     const [positions, alphas, colors, scales, rotations, harmonics] = sections;
-    const scene = emptyScene(count, degree), signs = Array.from({ length: rest / 3 }, (_, k) => aboutX(k + 1));
+    const scene = { ...emptyScene(count, degree), antialiased: Boolean(bytes[14] & 1) }, signs = Array.from({ length: rest / 3 }, (_, k) => aboutX(k + 1));
     const quat = [0, 0, 0, 0];
     for (let i = 0; i < count; ++i) {
         for (let j = 0; j < 3; ++j) {
@@ -166,12 +172,12 @@ async function readSpz(packed, progress) {
         scene.quats.set([quat[3], quat[0], -quat[1], -quat[2]], 4 * i);
         for (let j = 0; j < rest; ++j)
             scene.rest[i * rest + j] = half(signs[Math.floor(j / 3)] * (harmonics[i * rest + j] - 128) / 128);
-        if (i % 65536 === 0) progress(0.3 + 0.7 * i / count);
+        if (i % 65536 === 0) await progress(0.3 + 0.7 * i / count);
     }
     return scene;
 }
 
-function readSplat(bytes, progress) {
+async function readSplat(bytes, progress) {
     if (bytes.length % 32) throw new Error(`The .splat is cut off: ${bytes.length} bytes are no multiple of 32.`);
     const count = bytes.length / 32, scene = emptyScene(count, 0), view = new DataView(bytes.buffer, bytes.byteOffset);
     for (let i = 0; i < count; ++i) {
@@ -182,7 +188,7 @@ function readSplat(bytes, progress) {
         }
         scene.opacities[i] = bytes[32 * i + 27] / 255;
         for (let j = 0; j < 4; ++j) scene.quats[4 * i + j] = (bytes[32 * i + 28 + j] - 128) / 128;
-        if (i % 65536 === 0) progress(i / count);
+        if (i % 65536 === 0) await progress(i / count);
     }
     return scene;
 }
@@ -233,7 +239,7 @@ async function readSog(bytes, progress, decoded = texels) {
     const of = async names => Promise.all(names.map(name => picture(name, count)));
     const [low, high, sizes, turns, colors] = await of([...means.files, ...scales.files, ...quats.files, ...sh0.files]);
     progress(0.5);
-    const scene = emptyScene(count, degree);
+    const scene = { ...emptyScene(count, degree), antialiased: meta.model === "antialiased" };
     for (let i = 0; i < count; ++i) {
         const quat = [0, 1, 2].map(j => (turns[4 * i + j] / 127.5 - 1) * Math.SQRT1_2);
         quat.splice(turns[4 * i + 3] - 252, 0, Math.sqrt(Math.max(0, 1 - quat.reduce((sum, q) => sum + q * q, 0))));
@@ -253,7 +259,7 @@ async function readSog(bytes, progress, decoded = texels) {
     for (let i = 0; i < count; ++i) {
         const entry = labels[4 * i] + 256 * labels[4 * i + 1];
         for (let j = 0; j < 3 * width; ++j) scene.rest[3 * width * i + j] = codes[entries[4 * (entry * width + Math.floor(j / 3)) + j % 3]];
-        if (i % 65536 === 0) progress(0.5 + 0.5 * i / count);
+        if (i % 65536 === 0) await progress(0.5 + 0.5 * i / count);
     }
     return scene;
 }
@@ -295,7 +301,7 @@ function gltfNumbers({ accessors, bufferViews }, buffers, index, width) {
     return { count, at: (i, c = 0) => Math.max(view[read](start + i * stride + c * size, true) * scale, accessor.normalized ? -1 : -Infinity) };
 }
 
-function readGltf(bytes, progress) {
+async function readGltf(bytes, progress) {
     const [document, buffers] = gltfParts(bytes), found = [];
     for (const [i, node] of (document.nodes ?? []).entries()) {
         const own = (document.meshes?.[node.mesh]?.primitives ?? []).filter(primitive => primitive.extensions?.[GLTF]);
@@ -329,16 +335,16 @@ function readGltf(bytes, progress) {
         }
         scene.quats[4 * i] = quats.at(i, 3);
         scene.opacities[i] = opacities.at(i);
-        if (i % 65536 === 0) progress(i / count);
+        if (i % 65536 === 0) await progress(i / count);
     }
     return scene;
 }
 
 // By first bytes, a .splat by its name.
-async function readScene(bytes, name, progress) {
+async function readScene(bytes, name, progress, whole) {
     const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
     if (!bytes.length) throw new Error("The file is empty.");
-    if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress);
+    if (starts("ply\n") || starts("ply\r")) return readPly(bytes, progress, whole);
     if (starts("NGSP") || bytes[0] === 0x1f && bytes[1] === 0x8b) return readSpz(bytes, progress);
     if (starts("PK")) return readSog(bytes, progress);
     if (starts("glTF") || /\.gltf$/i.test(name)) return readGltf(bytes, progress);

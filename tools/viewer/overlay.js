@@ -1,4 +1,4 @@
-// Input cameras, and the current one's photo with its PSNR.
+// Input cameras, the edited volume, and the current camera's photo with its PSNR.
 
 const MOST_PIXELS = 1 << 20; // in a compared photo
 
@@ -64,18 +64,32 @@ class Overlay {
 
     draw() {
         const { canvas, shown, page } = this, context = canvas.getContext("2d");
-        if (!shown) return void (canvas.width = 0);
-        canvas.width = canvas.clientWidth;
-        canvas.height = canvas.clientHeight;
-        for (const [i, camera] of config.cameras.entries()) {
-            const [eye, ...corners] = this.frustum(camera).map(point => this.project(point));
+        if (!shown && !page.edit.shown) return void (canvas.width = 0);
+        canvas.width = devicePixelRatio * canvas.clientWidth;
+        canvas.height = devicePixelRatio * canvas.clientHeight;
+        context.scale(devicePixelRatio, devicePixelRatio);
+        for (const [i, camera] of shown ? config.cameras.entries() : []) {
+            const [eye, ...corners] = this.frustum(camera);
             context.strokeStyle = i === page.input ? "#fc6" : "#7cf";
             context.beginPath();
             for (const [k, corner] of corners.entries())
                 for (const [from, to] of [[eye, corner], [corner, corners[(k + 1) % 4]]])
-                    if (from && to) context.moveTo(...from), context.lineTo(...to);
+                    this.line(context, from, to);
             context.stroke();
         }
+        page.edit.draw(context);
+    }
+
+    // Between points, in front of the camera.
+    line(context, ...ends) {
+        const { camera, scene } = this.page, near = 1.001 * (scene?.near ?? 0.01);
+        const depths = ends.map(end => dot(camera.axes[2], add(end, camera.eye, -1)) - near);
+        if (depths[0] < 0 && depths[1] < 0) return;
+        const clip = (end, i) => depths[i] < 0 ? add(end, add(ends[1 - i], end, -1), depths[i] / (depths[i] - depths[1 - i])) : end;
+        const [from, to] = ends.map(clip).map(end => this.project(end));
+        if (!from || !to) return;
+        context.moveTo(...from);
+        context.lineTo(...to);
     }
 
     pick({ clientX, clientY }) {

@@ -4,6 +4,8 @@ const counted = (count, what) => `${count.toLocaleString("en")} ${what}${count =
 const sized = bytes => bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
 
 const SLOW = 60; // milliseconds per frame; slower motion lowers the resolution
+const PREVIEWED = 1 << 24; // bytes; smaller scenes are shown when they are whole
+const FIRST = 1 / 16; // part of a scene that is shown first, then four times as much
 const REST = 250; // idle milliseconds before full resolution
 
 class Page {
@@ -28,6 +30,7 @@ class Page {
         this.path = new Path(this);
         this.live = new Live(this);
         this.refining = new Refining(this);
+        this.edit = new Edit(this);
         this.buttons();
         addEventListener("resize", () => this.change());
         this.canvas.addEventListener("webglcontextlost", event => {
@@ -53,9 +56,10 @@ class Page {
         const { scene } = this;
         if (scene.failed) this.say(`${scene.name}: ${scene.failed}`, true);
         else if (!scene.loading) this.load(this.current);
-        else this.say(scene.drawable ? "" : `${scene.name}: loading`);
+        else this.say(scene.drawable ? "" : `${scene.name}: ${scene.arriving ?? "loading"}`);
         if (!this.home) this.reset();
         this.tokens.leave();
+        this.edit.enter();
         this.label();
         this.change();
     }
@@ -74,10 +78,10 @@ class Page {
     }
 
     // With any view for the first depth order.
-    read(index, bytes) {
+    read(index, bytes, whole = true) {
         const scene = this.scenes[index], view = this.home && this.view();
-        if (!scene.file) scene.blob = new Blob([bytes]);
-        this.worker.postMessage({ load: index, bytes, name: scene.name, view }, [bytes]);
+        if (whole && !scene.file) scene.blob = new Blob([bytes]);
+        this.worker.postMessage({ load: index, bytes, name: scene.name, view, whole }, [bytes]);
     }
 
     // Resolves when the new scene is shown.
@@ -92,7 +96,7 @@ class Page {
     }
 
     // Dropped, embedded or from the server.
-    async bytes(scene) {
+    async bytes(scene, index) {
         if (scene.file) return scene.file.arrayBuffer();
         const { inlined } = scene;
         if (inlined) {
@@ -110,13 +114,24 @@ class Page {
         }
         const answer = await asked(scene.source);
         const all = Number(answer.headers.get("Content-Length")), parts = [];
-        let done = 0;
+        let done = 0, next = FIRST;
         for await (const part of chunks(answer.body)) {
             parts.push(part);
             done += part.length;
-            if (all) this.say(`${scene.name}: ${sized(done)} of ${sized(all)}`);
+            if (all) this.arrived(scene, `${sized(done)} of ${sized(all)}`);
+            // The server sends the most visible Gaussians first.
+            if (all > PREVIEWED && done >= next * all) {
+                next *= 4;
+                this.read(index, await new Blob(parts).arrayBuffer(), false);
+            }
         }
         return new Blob(parts).arrayBuffer();
+    }
+
+    // In the middle until there is a picture.
+    arrived(scene, text) {
+        scene.arriving = text;
+        if (scene === this.scene) scene.drawable ? this.label() : this.say(`${scene.name}: ${text}`);
     }
 
     failed(index, words) {
@@ -127,7 +142,9 @@ class Page {
 
     answered(data) {
         const scene = this.scenes[data.load ?? data.sort];
-        if (data.progress !== undefined) scene.drawable || this.say(`${scene.name}: reading, ${Math.floor(100 * data.progress)} %`);
+        if (data.edit !== undefined) return this.edit.answered(data);
+        if (data.save !== undefined) return this.edit.saved(data);
+        if (data.progress !== undefined) (!scene.drawable || scene.partial) && this.arrived(scene, `reading, ${Math.floor(100 * data.progress)} %`);
         else if (data.failed) this.failed(data.load, data.failed);
         else if (data.gaussians) this.loaded(data.load, data);
         else {
@@ -147,16 +164,16 @@ class Page {
             return this.failed(index, error.message);
         }
         if (before) this.renderer.release(before);
-        Object.assign(scene, { count: data.count, sample: data.sample, faint: data.faint, near: data.near, failed: null, sortedFor: data.view }, scene.next);
+        Object.assign(scene, { count: data.count, all: data.all, partial: data.count < data.all, sample: data.sample, faint: data.faint, near: data.near, edits: 0, failed: null, sortedFor: data.view }, scene.next);
         if (data.order) this.renderer.sort(scene.drawable, data.order);
         scene.done?.();
-        element("save-scene").disabled = false;
         if (index === this.current) {
             this.say(data.dropped ? `${counted(data.dropped, "Gaussian")} left out: their values are not finite.` : "");
             if (data.dropped) setTimeout(() => this.say(""), 4000);
         }
         if (!this.home) this.reset();
         if (index === this.current && before) this.tokens.leave();
+        if (index === this.current) this.edit.enter();
         this.label();
         this.change();
     }
@@ -198,7 +215,7 @@ class Page {
         requestAnimationFrame(now => this.draw(now));
     }
 
-    draw(now) {
+    draw(now, marked = this.edit.marked) {
         this.waiting = false;
         const moving = now - this.moved < REST, { canvas, camera, scene } = this;
         this.measure(now, moving);
@@ -207,7 +224,7 @@ class Page {
         this.order(scene);
         if (!moving) this.overlay.compare(scene);
         this.renderer.resize(width, height, this.views.shown);
-        this.renderer.draw(scene?.drawable, camera, this.background, this.views.drawn());
+        this.renderer.draw(scene?.drawable, camera, this.background, { ...this.views.drawn(), volume: marked });
         this.overlay.draw();
         element("fov").value = camera.fov;
         element("fov-value").textContent = `${Math.round(camera.fov)}°`;
@@ -253,8 +270,9 @@ class Page {
         const { scene, scenes } = this, facts = [];
         element("name").textContent = scene?.name ?? "";
         document.title = scene ? `${scene.name} - ZipSplat` : "ZipSplat";
-        if (scene?.count) facts.push(counted(scene.count, "Gaussian"));
-        if (scene?.bytes) facts.push(sized(scene.bytes));
+        if (scene?.partial) facts.push(`${scene.count.toLocaleString("en")} of ${counted(scene.all, "Gaussian")}`, scene.arriving);
+        else if (scene?.count) facts.push(counted(scene.count, "Gaussian"));
+        if (scene?.bytes && !scene.partial && !scene.edits) facts.push(sized(scene.bytes));
         if (this.rate) facts.push(`${this.rate.toFixed(0)} frames a second`);
         element("facts").textContent = facts.join(" · ");
         element("scenes").hidden = scenes.length < 2;
@@ -272,11 +290,6 @@ class Page {
         this.choose(this.scenes.length - 1);
     }
 
-    saveScene() {
-        const { scene } = this, blob = scene.file ?? scene.blob;
-        if (blob) this.download(scene.file?.name ?? `${this.stem}${scene.extension}`, blob);
-    }
-
     download(name, blob) {
         const link = document.createElement("a");
         link.href = URL.createObjectURL(blob);
@@ -288,7 +301,7 @@ class Page {
     // The page clears a shown picture.
     picture() {
         this.moved = 0;
-        this.draw(performance.now());
+        this.draw(performance.now(), null);
         this.canvas.toBlob(blob => this.download(`${this.stem}.png`, blob));
     }
 
@@ -296,6 +309,8 @@ class Page {
         const toggle = id => () => {
             for (const section of document.querySelectorAll("section"))
                 section.hidden = section.id !== id || !section.hidden;
+            this.edit.enter();
+            this.change();
         };
         const full = () => document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen?.();
         const looks = () => element("looks").checked = this.controls.looks = !this.controls.looks;
@@ -305,12 +320,12 @@ class Page {
             open: ["KeyO", () => element("file").click()], "help-button": ["KeyH", toggle("help")],
             "show-cameras": ["KeyC", () => this.overlay.toggle()],
             previous: ["Comma", () => step(-1)], next: ["Period", () => step(1)], "settings-button": [null, toggle("settings")],
-            "path-button": [null, toggle("path")], "save-scene": [null, () => this.saveScene()],
+            "path-button": [null, toggle("path")], "edit-button": ["KeyX", toggle("edit")],
         };
         const keys = {
             KeyL: looks, Slash: toggle("help"), KeyK: () => (this.path.keep(), element("path").hidden = false), Space: () => this.path.play(),
             BracketLeft: () => this.choose(this.current - 1), BracketRight: () => this.choose(this.current + 1),
-            Escape: () => document.querySelectorAll("section").forEach(section => section.hidden = true),
+            Escape: toggle(null),
         };
         Object.keys(SHOWN).forEach((shown, i) => keys[`Digit${i + 1}`] = () => this.views.show(shown));
         for (const [id, [key, act]] of Object.entries(actions)) {

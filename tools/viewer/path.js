@@ -100,11 +100,11 @@ class Path {
     // On the server, or shows the command.
     async record() {
         const { page } = this, { scene } = page, format = element("format").value, name = page.stem;
-        if (!scene.source) {
+        if (!scene.source || scene.edits) {
             this.save();
-            const file = scene.file?.name ?? `${name}${scene.extension}`;
-            const kept = scene.file ? "" : "the scene, by Settings, and ";
-            return this.say(`This page has no zipsplat beside it. Save ${kept}the path, which was saved just now, then run: ` +
+            const whole = scene.file && !scene.edits, file = whole ? scene.file.name : page.edit.name;
+            const kept = whole ? "" : "the scene, by Edit, and ";
+            return this.say(`${scene.source ? "The server has the scene without the edits" : "This page has no zipsplat beside it"}. Save ${kept}the path, which was saved just now, then run: ` +
                 `zipsplat render ${quoted(file)} --cameras camera_path.json --fps ${FPS} --video ${quoted(`${name}.${format}`)}`);
         }
         element("record").disabled = true;

@@ -31,8 +31,11 @@ uniform mat3 view;
 uniform vec3 eye;
 uniform vec2 focal, size;
 uniform float near;
+uniform bool antialiased;
 uniform int degree, show, hovered; // the token that is pointed at; -1: none
 uniform uint group; // Gaussians of a token
+uniform int volume; // marked centers: 0 none, 1 in a box, 2 in an ellipsoid
+uniform vec3 middle, reach; // of the volume: center and half its size
 layout(location = 0) out uvec4 ellipse;
 layout(location = 1) out uvec4 short_axis;
 layout(location = 2) out uvec4 color;
@@ -112,22 +115,27 @@ void main() {
     // The determinant as a sum of squares, which does not cancel for needles.
     vec3 minors = cross(u, v);
     float det = dot(minors, minors) + BLUR * (dot(u, u) + dot(v, v)) + BLUR * BLUR;
+    if (antialiased) opacity *= sqrt(dot(minors, minors) / det);
+    if (opacity < ALPHA_MIN) return;
     float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
-    float reach = 2.0 * log(255.0 * opacity);
-    vec2 center = focal * p.xy / p.z + half_size, radii = sqrt(reach * vec2(xx, yy));
+    float extent = 2.0 * log(255.0 * opacity);
+    vec2 center = focal * p.xy / p.z + half_size, radii = sqrt(extent * vec2(xx, yy));
     if (any(lessThan(center + radii, vec2(0))) || any(greaterThan(center - radii, size))) return;
 
     float tilt = 0.5 * (xx - yy), spread = length(vec2(tilt, xy)), longest = 0.5 * (xx + yy) + spread;
     vec2 axis = tilt >= 0.0 ? vec2(tilt + spread, xy) : vec2(xy, spread - tilt);
     axis = spread > 0.0 ? normalize(axis) : vec2(1, 0);
     ellipse = floatBitsToUint(vec4(center, sqrt(longest) * axis));
-    short_axis = uvec4(floatBitsToUint(sqrt(det / longest) * vec2(-axis.y, axis.x)), index, first.w);
+    short_axis = uvec4(floatBitsToUint(sqrt(det / longest) * vec2(-axis.y, axis.x)), index, floatBitsToUint(opacity));
 
     vec3 value = uintBitsToFloat(third.xyz);
     if (show == 1) value = vec3(p.z);
     else if (show == 2) value = normal(turn, uintBitsToFloat(second.xyz), offset);
     else if (show == 3) value = uint(hovered) == index / group ? vec3(1) : token_color(index / group) * (hovered < 0 ? 1.0 : 0.45);
     else value = max(degree > 0 ? value + bands(index, normalize(offset)) : value, 0.0);
+    vec3 place = abs(uintBitsToFloat(first.xyz) - middle) / reach;
+    bool marked = volume == 1 ? max(max(place.x, place.y), place.z) <= 1.0 : volume == 2 && dot(place, place) <= 1.0;
+    if (marked && show == 0) value = mix(value, vec3(1.0, 0.2, 0.7), 0.3);
     color = floatBitsToUint(vec4(value, 0));
 }`;
 
@@ -268,7 +276,7 @@ class Renderer {
     }
 
     // Scene packed by the worker.
-    upload({ count, degree, near, gaussians, harmonics }) {
+    upload({ count, degree, antialiased, near, gaussians, harmonics }) {
         const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
         const texture = (texels, format = gl.RGBA32UI) => {
             const height = Math.max(1, Math.ceil(texels / TEXTURE_WIDTH));
@@ -280,7 +288,7 @@ class Renderer {
             gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
             return texture;
         };
-        const scene = { count, degree, near, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
+        const scene = { count, degree, antialiased, near, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
         this.fill(scene.gaussians, gaussians, 4);
         this.fill(scene.harmonics, harmonics, 4);
         scene.order = texture(count, gl.R32UI);
@@ -330,7 +338,7 @@ class Renderer {
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, frame.texture, 0);
     }
 
-    // `view`: mode (see SHOWN), Gaussians per token, hovered token, depth range.
+    // `view`: mode (see SHOWN), Gaussians per token, hovered token, depth range, marked volume.
     draw(scene, camera, background, view = {}) {
         const { gl, frame, show } = this, { width, height } = frame, { shown = "color", range = [0, 1] } = view;
         if (scene?.drawn) this.project(scene, camera, view);
@@ -357,7 +365,7 @@ class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    project(scene, camera, { shown = "color", group = 1, hovered = -1 } = {}) {
+    project(scene, camera, { shown = "color", group = 1, hovered = -1, volume = null } = {}) {
         const { gl, projector: { program, uniforms } } = this, { width, height } = this.frame;
         const focal = camera.focal(width, height), [right, down, forward] = camera.axes;
         gl.useProgram(program);
@@ -368,9 +376,12 @@ class Renderer {
         gl.uniform2f(uniforms.size, width, height);
         gl.uniform1f(uniforms.near, scene.near);
         gl.uniform1i(uniforms.degree, scene.degree);
+        gl.uniform1i(uniforms.antialiased, scene.antialiased);
         gl.uniform1i(uniforms.show, SHOWN[shown]);
         gl.uniform1ui(uniforms.group, group);
         gl.uniform1i(uniforms.hovered, hovered);
+        gl.uniform1i(uniforms.volume, volume ? 1 + volume.round : 0);
+        if (volume) gl.uniform3fv(uniforms.middle, volume.center), gl.uniform3fv(uniforms.reach, volume.half);
         gl.uniform1ui(uniforms.drawn, scene.drawn);
         gl.bindFramebuffer(gl.FRAMEBUFFER, scene.projection);
         gl.viewport(0, 0, TEXTURE_WIDTH, Math.ceil(scene.drawn / TEXTURE_WIDTH));

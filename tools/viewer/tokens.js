@@ -50,7 +50,7 @@ class Tokens {
         const patch = token < 0 ? null : this.patch(token);
         element("source").hidden = token < 0;
         element("source-photo").hidden = !patch;
-        const all = this.page.scene.count / this.group;
+        const all = this.page.scene.drawable.count / this.group;
         element("source-words").textContent = `Token ${(token + 1).toLocaleString("en")} of ${all.toLocaleString("en")}` +
             (patch ? `: ${config.views[patch.view].name}, patch ${patch.column + 1} across, ${patch.row + 1} down` : "");
         if (!patch) return;

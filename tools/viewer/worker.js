@@ -1,17 +1,28 @@
-// Reads scenes, packs textures and sorts by depth.
+// Reads scenes, packs textures, sorts by depth, deletes and saves.
 //
-// In: { load, bytes, name, view } and { sort, view }: scene numbers, and the view's line of sight
-// and eye (optional for load). Out: { load, progress }, { load, failed } with a message, { load,
-// count, degree, dropped, faint, near, gaussians, harmonics, sample, order } and { sort, order }.
+// In, with the number of a scene:
+//   { load, bytes, name, view, whole }: the view's line of sight and eye are optional
+//   { sort, view }
+//   { edit, act, volume }: acts are "keep" and "delete" a volume, and "undo"; none only counts
+//   { save, file, name, kind }
+// Out:
+//   { load, progress } or { load, failed } with a message
+//   { load, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample,
+//     order }
+//   { sort, order }
+//   { edit, count, faint, inside, edits, sample }
+//   { save, blob } or { save, failed }
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
 const scenes = new Map();
+const INVALID = 0xffff; // number of the edit that removes Gaussians with values that are not finite
 
-function pack(scene) {
+async function pack(scene, progress) {
     const { count, means, scales, quats, opacities, colors, rest } = scene;
     const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);
     const snorm = q => Math.round(32767 * q) & 0xffff;
+    const gone = new Uint16Array(count); // number of the edit that removes a Gaussian
     let dropped = 0;
     for (let i = 0; i < count; ++i) {
         const [w, x, y, z] = quats.subarray(4 * i, 4 * i + 4), length = Math.hypot(w, x, y, z);
@@ -26,19 +37,22 @@ function pack(scene) {
         if (!Number.isFinite(sum)) {
             values.fill(0, 12 * i, 12 * i + 12);
             means.fill(0, 3 * i, 3 * i + 3);
+            gone[i] = INVALID;
             ++dropped;
         }
+        if (i % 65536 === 0) await progress(1);
     }
     const width = rest.length / count || 0, texels = Math.ceil(width / 8);
     const harmonics = new Uint16Array(8 * texels * count);
     for (let i = 0; i < count; ++i) harmonics.set(rest.subarray(i * width, (i + 1) * width), 8 * texels * i);
-    return { gaussians, harmonics: new Uint32Array(harmonics.buffer), dropped };
+    return { gaussians, harmonics: new Uint32Array(harmonics.buffer), gone, dropped };
 }
 
-// For the first view.
-function sampled({ means, count }) {
+// For views of the scene.
+function sampled({ means }, gone, count) {
     const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
-    for (let i = 0; i < count; i += step) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
+    for (let i = 0, k = 0; i < gone.length; ++i)
+        if (!gone[i] && k++ % step === 0) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
     return new Float32Array(points);
 }
 
@@ -52,48 +66,100 @@ function nearPlane(sample, scales) {
     return extent < 0.1 && extent > 0 ? 0.01 * 2 ** Math.max(Math.floor(Math.log2(extent)), -100) : 0.01;
 }
 
-async function load(id, buffer, name, view) {
-    const progress = fraction => postMessage({ load: id, progress: fraction });
-    const scene = await readScene(new Uint8Array(buffer), name, progress);
+// Sorts and edits take turns with it.
+async function load({ load: id, bytes, name, view, whole }) {
+    const progress = fraction => {
+        if (whole) postMessage({ load: id, progress: fraction });
+        return new Promise(resolve => setTimeout(resolve));
+    };
+    const scene = await readScene(new Uint8Array(bytes), name, progress, whole);
     if (!scene.count) throw new Error("The scene has no Gaussians.");
-    const { gaussians, harmonics, dropped } = pack(scene), { count, degree, means, opacities } = scene;
+    const { gaussians, harmonics, gone, dropped } = await pack(scene, progress), { count, all = count, degree, antialiased, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
-    const sample = sampled(scene), near = nearPlane(sample, scene.scales);
-    scenes.set(id, { means, count, opacities, near, depths: new Float32Array(count), indices: new Uint32Array(count) });
-    const faint = opacities.reduce((sum, opacity) => sum + !(opacity >= FAINTEST), 0);
+    const sample = sampled(scene, gone, count), near = nearPlane(sample, scene.scales);
+    scenes.set(id, { means, count, opacities, near, gone, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
+    const { faint } = counts(scenes.get(id));
     const order = view && sorted(scenes.get(id), view);
-    postMessage({ load: id, count, degree, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
+    postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
-const counts = [new Uint32Array(65536), new Uint32Array(65536)];
+// A box, or an ellipsoid if `round`, by its center and half its size.
+function within(means, i, { center, half, round }) {
+    const x = (means[3 * i] - center[0]) / half[0], y = (means[3 * i + 1] - center[1]) / half[1], z = (means[3 * i + 2] - center[2]) / half[2];
+    return round ? x * x + y * y + z * z <= 1 : Math.max(Math.abs(x), Math.abs(y), Math.abs(z)) <= 1;
+}
+
+function counts({ means, opacities, gone, edits }, volume) {
+    let count = 0, faint = 0, inside = 0;
+    for (let i = 0; i < gone.length; ++i) {
+        if (gone[i]) continue;
+        ++count;
+        faint += !(opacities[i] >= FAINTEST);
+        if (volume) inside += within(means, i, volume);
+    }
+    return { count, faint, inside, edits };
+}
+
+// Edits that would leave none or all are refused: the number of edits stays.
+function edit(scene, act, volume) {
+    const { means, gone } = scene, { count, inside } = counts(scene, volume), removed = act === "keep" ? count - inside : inside;
+    if (act === "undo") {
+        for (let i = 0; i < gone.length; ++i) if (gone[i] === scene.edits) gone[i] = 0;
+        scene.edits = Math.max(0, scene.edits - 1);
+    } else if (act && removed > 0 && removed < count) {
+        ++scene.edits;
+        for (let i = 0; i < gone.length; ++i) if (!gone[i] && within(means, i, volume) === (act === "delete")) gone[i] = scene.edits;
+    }
+    const after = counts(scene, volume);
+    return { ...after, sample: act && sampled(scene, gone, after.count) };
+}
+
+async function save({ gone }, file, name, kind) {
+    const bytes = new Uint8Array(await file.arrayBuffer()), kept = Array.from(gone.keys()).filter(i => !gone[i]);
+    const cut = kind === "ply" && String.fromCharCode(...bytes.subarray(0, 3)) === "ply" && cutPly(bytes, kept);
+    return cut || (kind === "ply" ? writePly : writeSpz)(await readScene(bytes, name, () => {}), kept);
+}
+
+const digits = [new Uint32Array(65536), new Uint32Array(65536)];
 
 // Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits.
-function sorted({ means, count, opacities, near, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
-    const bits = new Uint32Array(depths.buffer), [low, high] = counts;
+function sorted({ means, count, opacities, near, gone, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
+    const bits = new Uint32Array(depths.buffer), [low, high] = digits;
     low.fill(0);
     high.fill(0);
     let seen = 0;
     for (let i = 0; i < count; ++i) {
         const depth = (means[3 * i] - ex) * fx + (means[3 * i + 1] - ey) * fy + (means[3 * i + 2] - ez) * fz;
-        depths[i] = opacities[i] >= FAINTEST ? depth : 0;
+        depths[i] = opacities[i] >= FAINTEST && !gone[i] ? depth : 0;
         if (!(depths[i] >= near)) continue;
         ++low[bits[i] & 0xffff];
         ++high[bits[i] >>> 16];
         ++seen;
     }
-    for (const digit of counts) for (let i = 0, sum = 0; i < 65536; ++i) sum += digit[i], digit[i] = sum - digit[i];
+    for (const digit of digits) for (let i = 0, sum = 0; i < 65536; ++i) sum += digit[i], digit[i] = sum - digit[i];
     for (let i = 0; i < count; ++i) if (depths[i] >= near) indices[low[bits[i] & 0xffff]++] = i;
     const order = new Uint32Array(seen);
     for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k];
     return order;
 }
 
+let loads = Promise.resolve();
+const newest = new Map();
+
 onmessage = async ({ data }) => {
     if (data.sort !== undefined) {
         const order = sorted(scenes.get(data.sort), data.view);
         postMessage({ sort: data.sort, order }, [order.buffer]);
+    } else if (data.edit !== undefined) {
+        postMessage({ edit: data.edit, ...edit(scenes.get(data.edit), data.act, data.volume) });
+    } else if (data.save !== undefined) {
+        const failed = error => postMessage({ save: data.save, failed: error.message });
+        await save(scenes.get(data.save), data.file, data.name, data.kind).then(blob => postMessage({ save: data.save, blob }), failed);
     } else {
-        await load(data.load, data.bytes, data.name, data.view).catch(error => {
+        newest.set(data.load, data);
+        // A part that is overtaken shows nothing new, unless it is the first.
+        const overtaken = () => !data.whole && scenes.has(data.load) && newest.get(data.load) !== data;
+        loads = loads.then(() => overtaken() || load(data)).catch(error => {
             const words = error instanceof RangeError ? "The scene is larger than this browser's memory." : error.message;
             postMessage({ load: data.load, failed: words });
         });

@@ -11,6 +11,8 @@ pub(super) struct Format {
     pub marks: &'static [&'static [u8]],
     /// Whether harmonics above degree 0 are stored.
     pub view_dependence: bool,
+    /// Whether [`Scene::antialiased`] is stored.
+    pub antialiased: bool,
     /// Reads a scene; callers validate its values.
     pub read: fn(Source<'_>) -> Result<Scene>,
     /// Reads the line of [`World::parse`], if the format can store a world.

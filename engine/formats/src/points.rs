@@ -49,17 +49,24 @@ impl Scene {
             quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
             opacities: vec![OPACITY; count],
             sh_coeffs: (0..count).map(color).collect(),
-            sh_degree: 0,
+            ..Self::default()
         };
         Ok(with_degree(scene, DEGREE))
     }
 
     /// Concatenates two scenes with the higher degree of harmonics.
-    pub fn concat(first: Self, second: Self) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if only one is antialiased: no option of the renderer suits both.
+    pub fn concat(first: Self, second: Self) -> Result<Self> {
+        if first.antialiased != second.antialiased {
+            let found = "an antialiased scene and one that is not";
+            return Err(Error::argument("scenes to merge", found, "all antialiased, or none"));
+        }
         let degree = first.sh_degree.max(second.sh_degree);
         let [mut joined, other] = [first, second].map(|scene| with_degree(scene, degree));
         joined.append(other);
-        joined
+        Ok(joined)
     }
 }
 
@@ -108,8 +115,9 @@ mod tests {
             opacities: vec![0.5; 2],
             sh_coeffs: (0..2 * (sh_degree + 1).pow(2)).map(|i| [1.0 + i as f32; 3]).collect(),
             sh_degree,
+            antialiased: false,
         };
-        let joined = Scene::concat(of_degree(0), of_degree(1));
+        let joined = Scene::concat(of_degree(0), of_degree(1)).expect("a scene");
         joined.validate().expect("a valid scene");
         let first: Vec<f32> = joined.sh_coeffs.iter().map(|coeffs| coeffs[0]).collect();
         assert_eq!(first, [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);

@@ -39,6 +39,9 @@ pub struct Scene {
     pub sh_coeffs: Vec<[f32; 3]>,
     /// Degree of spherical harmonics, 0 to 3.
     pub sh_degree: u32,
+    /// Whether the scene was optimized with opacity compensation for screen-space blur
+    /// (Mip-Splatting, Yu et al. 2024), which is then the renderer's default.
+    pub antialiased: bool,
 }
 
 impl Scene {
@@ -79,9 +82,10 @@ impl Scene {
     /// Appends a scene.
     ///
     /// # Panics
-    /// If the degrees differ.
+    /// If the degrees or `antialiased` differ.
     pub fn append(&mut self, mut other: Self) {
-        assert_eq!(self.sh_degree, other.sh_degree, "scenes of one degree");
+        let kind = |scene: &Self| (scene.sh_degree, scene.antialiased);
+        assert_eq!(kind(self), kind(&other), "scenes of one degree, all antialiased or none");
         self.means.append(&mut other.means);
         self.scales.append(&mut other.scales);
         self.quats.append(&mut other.quats);
@@ -120,7 +124,7 @@ impl Scene {
             quats: Vec::with_capacity(count),
             opacities: Vec::with_capacity(count),
             sh_coeffs: Vec::with_capacity(count * coeffs),
-            sh_degree: 0,
+            ..Self::default()
         }
     }
 
@@ -132,6 +136,7 @@ impl Scene {
             opacities: vec![0.0; count],
             sh_coeffs: vec![[0.0; 3]; count * coeffs(sh_degree)],
             sh_degree,
+            antialiased: false,
         }
     }
 

@@ -103,6 +103,11 @@ impl SceneFormat {
         self.format().view_dependence
     }
 
+    /// Returns true if the format stores [`Scene::antialiased`].
+    pub fn keeps_antialiased(self) -> bool {
+        self.format().antialiased
+    }
+
     /// Returns true if the format can store the scene's world: all but `.splat` and SPZ version 4.
     pub fn keeps_world(self, options: &SaveOptions) -> bool {
         self.format().world.is_some() && !(self == Self::Spz && options.spz_version == 4)

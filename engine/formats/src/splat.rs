@@ -8,8 +8,14 @@ use super::format::{Encoder, Format, SaveOptions};
 use super::{Scene, World, camera::unit_quaternion, source::Source};
 use crate::{Error, Result};
 
-pub(super) const FORMAT: Format =
-    Format { marks: &[], view_dependence: false, read: read_unchecked, world: None, write: encoder };
+pub(super) const FORMAT: Format = Format {
+    marks: &[],
+    view_dependence: false,
+    antialiased: false,
+    read: read_unchecked,
+    world: None,
+    write: encoder,
+};
 
 const ROW: usize = 32;
 

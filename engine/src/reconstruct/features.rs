@@ -111,7 +111,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &options)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scene.scene(degree, near(features.scene_scale));
+        let gaussians = scene.scene(degree, near(features.scene_scale), false);
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(&run, choice, shape, &options)?,

@@ -217,7 +217,7 @@ impl Model {
         run.replace_resident(scenes[free].resident().clone());
         self.write_inputs(run, tensors, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(options.scale()));
+        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(options.scale()), false);
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(run, tensors.choice, shape, options)?,

@@ -203,6 +203,7 @@ impl Tensors {
             opacities: run.read(self.scene.opacities)?,
             sh_coeffs: run.read(self.scene.sh_coeffs)?,
             sh_degree: self.scene.sh_degree,
+            antialiased: false,
         })
     }
 }

@@ -214,7 +214,7 @@ mod tests {
             quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
             opacities: vec![0.5; count],
             sh_coeffs: vec![[0.0; 3]; count],
-            sh_degree: 0,
+            ..Scene::default()
         }
     }
 }

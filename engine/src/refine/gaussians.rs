@@ -12,8 +12,10 @@ use crate::{
     Error, Result,
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     perceptual::{LpipsWeights, Perceptual},
-    stages::render::{FrameShape, Gradients, PlanCache, PlanKey, SceneGradients, SceneTensors, first_capacity},
-    types::{NEAR, Scene, unit_quaternion},
+    stages::render::{
+        FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, SceneGradients, SceneTensors, first_capacity,
+    },
+    types::{Scene, unit_quaternion},
 };
 use std::sync::Arc;
 
@@ -51,7 +53,7 @@ pub(super) struct Gaussians {
     memories: Vec<Arc<Resident>>,
     fields: Vec<Field>,
     scene: SceneTensors,
-    near: f32,
+    drawing: RenderOptions,
     gradients: Gradients,
     options: RefineOptions,
     learns_exposures: bool,
@@ -122,7 +124,7 @@ impl Gaussians {
             memories,
             fields: Vec::new(),
             scene,
-            near: NEAR,
+            drawing: RenderOptions::default(),
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
             options: options.clone(),
             learns_exposures: false,
@@ -187,8 +189,9 @@ impl Gaussians {
         self.plans.clear();
     }
 
-    pub fn set_near(&mut self, near: f32) {
-        self.near = near;
+    /// Draws with the renderer's defaults for `scene`.
+    pub fn draw_as(&mut self, scene: &Scene) {
+        self.drawing = RenderOptions::default().for_scene(scene);
     }
 
     /// Draws a photo's camera: `[height][width][rgb]` and the number of tile intersections.
@@ -226,7 +229,7 @@ impl Gaussians {
                 lpips,
                 exposure: self.learns_exposures,
             });
-            let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, training);
+            let recorded = record_photos(&mut rec, &self.scene, shape, capacity, &self.drawing, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
             // Staging saves a wait per input and output.
@@ -235,7 +238,8 @@ impl Gaussians {
     }
 
     pub fn scene(&self) -> Result<Scene> {
-        self.scene.read(&self.memories[0])
+        let antialiased = self.drawing.antialiased.unwrap_or(false);
+        Ok(Scene { antialiased, ..self.scene.read(&self.memories[0])? })
     }
 
     pub fn show(&self, scene: &Scene) -> Result<()> {

@@ -155,6 +155,7 @@ mod tests {
             opacities: (0..count).map(|i| if i % 2 == 0 { 0.8 } else { 0.2 }).collect(),
             sh_coeffs: (0..4 * count).map(|i| [i as f32; 3]).collect(),
             sh_degree: 1,
+            antialiased: false,
         }
     }
 

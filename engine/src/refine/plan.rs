@@ -17,9 +17,8 @@ use crate::{
         Architecture,
         gaussians::Head,
         lpips::Lpips,
-        render::{FrameShape, Gradients, SceneTensors, first_capacity, planned_capacity},
+        render::{FrameShape, Gradients, RenderOptions, SceneTensors, first_capacity, planned_capacity},
     },
-    types::NEAR,
 };
 
 /// Optimized parameters.
@@ -140,14 +139,14 @@ fn record_steps(
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
         let training = Training { options, gradients, lpips, exposure: options.exposure == Exposure::On };
-        record_photos(&mut rec, scene, shape, capacity, NEAR, Some(training));
+        record_photos(&mut rec, scene, shape, capacity, &RenderOptions::default(), Some(training));
         plans.push(rec.finish()?);
     }
     let [width, height] = photo_size(1);
     let mut rec = Recorder::new(limits);
     let shape = FrameShape { cameras: 1, width, height };
     let capacity = planned_capacity(limits.max_binding_bytes, each, shape, false);
-    record_photos(&mut rec, scene, shape, capacity, NEAR, None);
+    record_photos(&mut rec, scene, shape, capacity, &RenderOptions::default(), None);
     plans.push(rec.finish()?);
     Ok(())
 }

@@ -66,14 +66,13 @@ pub(super) fn record_photos(
     scene: &SceneTensors,
     shape: FrameShape,
     capacity: usize,
-    near: f32,
+    drawing: &RenderOptions,
     training: Option<Training<'_>>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
-    let drawing = RenderOptions { near: Some(near), ..RenderOptions::default() };
     let Some(Training { options, gradients, lpips, exposure }) = training else {
-        return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, &drawing, capacity) };
+        return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, drawing, capacity) };
     };
     let d_cameras = options.optimize_cameras.then(|| {
         let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", count);
@@ -104,7 +103,7 @@ pub(super) fn record_photos(
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
-    let (outputs, _) = record_with_gradients(rec, scene, cameras, shape, &drawing, capacity, compare, &gradients);
+    let (outputs, _) = record_with_gradients(rec, scene, cameras, shape, drawing, capacity, compare, &gradients);
     d_cameras.iter().for_each(|tensor| rec.output(*tensor));
     Recorded { cameras, learning, outputs }
 }

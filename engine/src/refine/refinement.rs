@@ -96,7 +96,7 @@ impl<'a> Refinement<'a> {
             let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
             (Growth::new(scene.len(), most, steps, options.seed), FreeSpace::new(&scene, &training_cameras))
         });
-        gaussians.set_near(scene.near());
+        gaussians.draw_as(&scene);
         Ok(Self {
             photos,
             cameras: Cameras::new(cameras, moving, rates),

@@ -166,6 +166,7 @@ impl SceneTensors {
             opacities: memory.read(self.opacities)?,
             sh_coeffs: memory.read(self.sh_coeffs)?,
             sh_degree: self.sh_degree,
+            antialiased: false,
         })
     }
 }

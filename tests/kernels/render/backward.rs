@@ -160,7 +160,7 @@ fn equals_the_goldens() {
                     alpha,
                     depth: depth.then_some(kind),
                     background,
-                    antialiased: mode == "antialiased",
+                    antialiased: Some(mode == "antialiased"),
                     ..RenderOptions::default()
                 };
                 let no_alpha = || Weights { alpha: vec![0.0; weights.alpha.len()], ..weights.clone() };
@@ -216,7 +216,10 @@ fn two_cameras() -> [Camera; 2] {
 fn requests() -> [(RenderOptions, Drawing); 4] {
     let request = |rgb, alpha, depth: Option<Depth>, antialiased| {
         let background = [0.3, 0.1, 0.6];
-        let request = RenderOptions { rgb, alpha, depth, background, antialiased, ..RenderOptions::default() };
+        let request = RenderOptions {
+            antialiased: Some(antialiased),
+            ..RenderOptions { rgb, alpha, depth, background, ..RenderOptions::default() }
+        };
         let expected_depth = depth == Some(Depth::Expected);
         (request, Drawing { antialiased, expected_depth, background: background.map(f64::from) })
     };
@@ -231,8 +234,8 @@ fn requests() -> [(RenderOptions, Drawing); 4] {
 /// 0 at pixels that rounding decides.
 fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderOptions) -> Weights {
     let gaussians = reference_gaussians(scene);
-    let unstable =
-        |camera: &Camera| render(&gaussians, &reference_camera(camera), request.antialiased, [0.0; 3]).unstable;
+    let antialiased = request.antialiased == Some(true);
+    let unstable = |camera: &Camera| render(&gaussians, &reference_camera(camera), antialiased, [0.0; 3]).unstable;
     let stable: Vec<f64> = cameras.iter().flat_map(unstable).map(|mark| f64::from(1 - mark)).collect();
     let weights = |seed, width: usize, on: bool| -> Vec<f64> {
         let each = |(i, weight): (usize, f32)| if on { f64::from(weight) * stable[i / width] } else { 0.0 };

@@ -79,3 +79,16 @@ fn small_photos_that_are_held_out_do_not_change_the_sizes_of_others() {
     let refined = refine(&moved(&scene), &photos, &cameras, &request);
     assert_eq!((refined.holdout_views, refined.sizes), (vec![1], vec![(0, [128, 100]), (2, [256, 200])]));
 }
+
+/// Drawn otherwise, the scene would not equal its own photos.
+#[test]
+fn antialiased_scenes_are_refined_as_such() {
+    let cameras = cameras(2);
+    let scene = Scene { antialiased: true, ..random_scene(200, 0, 0.02) };
+    let options = RefineOptions { length: RefineLength::Steps(1), ..RefineOptions::default() };
+    let refined = refine(&scene, &photos_of(&scene, &cameras), &cameras, &options);
+    assert!(refined.scene.antialiased && refined.training_psnr[1] > 50.0, "{:?}", refined.training_psnr);
+    let plain = Scene { antialiased: false, ..scene.clone() };
+    let other = refine(&plain, &photos_of(&scene, &cameras), &cameras, &options);
+    assert!(!other.scene.antialiased && other.training_psnr[1] < 40.0, "{:?}", other.training_psnr);
+}

@@ -1,6 +1,8 @@
+mod antialiased;
 mod foreign;
 mod gltf;
 mod packed;
+mod plyfile;
 mod sog;
 mod spz4;
 
@@ -244,7 +246,7 @@ fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
             quats: alike.quats.repeat(2),
             opacities: alike.opacities.repeat(2),
             sh_coeffs: alike.sh_coeffs.repeat(2),
-            sh_degree: 0,
+            ..Scene::default()
         };
     }
     assert_eq!(round_trip(&alike, "scene.spz", &SaveOptions::default()).len(), 1 << 18);

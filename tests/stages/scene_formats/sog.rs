@@ -132,15 +132,21 @@ fn splat_transform_reads_ours() {
         println!("skipped: npm cannot install @playcanvas/splat-transform: {npm:?}");
         return;
     }
-    let truth = scene(2);
-    truth.save(path("scene.sog")).unwrap();
-    let program = path("node_modules/.bin/splat-transform");
-    let run = Command::new(program).args(["-q", "-g", "cpu"]).args([path("scene.sog"), path("back.ply")]).output();
-    let run = run.unwrap();
-    assert!(run.status.success(), "{run:?}");
-    let [back, own] = ["back.ply", "scene.sog"].map(|name| Scene::open(path(name)).unwrap());
+    let truth = Scene { antialiased: true, ..scene(2) };
+    let read = |name: &str| {
+        truth.save(path(name)).unwrap();
+        let mut program = Command::new(path("node_modules/.bin/splat-transform"));
+        let run = program.args(["-q", "-g", "cpu", "-w"]).args([path(name), path("back.ply")]).output().unwrap();
+        assert!(run.status.success(), "{run:?}");
+        Scene::open(path("back.ply")).unwrap()
+    };
+    for name in ["scene.ply", "scene.spz"] {
+        let back = read(name);
+        assert_eq!((back.len(), back.antialiased), (400, true), "{name}");
+    }
+    let (back, own) = (read("scene.sog"), Scene::open(path("scene.sog")).unwrap());
     let tolerance = Tolerance { max: 1e-5, rms: 1e-5 };
-    assert_eq!((back.len(), back.sh_degree), (400, 2));
+    assert_eq!((back.len(), back.sh_degree, back.antialiased), (400, 2, true));
     assert_close("means", back.means.as_flattened(), own.means.as_flattened(), tolerance);
     assert_close("scales", back.scales.as_flattened(), own.scales.as_flattened(), tolerance);
     assert_close("opacities", &back.opacities, &own.opacities, tolerance);

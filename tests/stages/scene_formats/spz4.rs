@@ -124,7 +124,7 @@ fn equal_gaussians_come_back() {
         quats: vec![one.quats[0]; n],
         opacities: vec![one.opacities[0]; n],
         sh_coeffs: vec![one.sh_coeffs[0]; n],
-        sh_degree: 0,
+        ..Scene::default()
     };
     let bytes = many.encode(SceneFormat::Spz, &SaveOptions { spz_version: 4 }).unwrap();
     let found = read(&bytes);

@@ -118,7 +118,7 @@ const SEEN: RenderOptions = RenderOptions {
     normals: false,
     token_group: None,
     background: [0.0; 3],
-    antialiased: false,
+    antialiased: None,
     near: None,
     layout: None,
 };
@@ -178,9 +178,10 @@ impl Backward {
         let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1);
         rec.fill(d_cameras, 0);
         let gradients = Gradients { scene: None, cameras: Some(d_cameras) };
-        let tensors = scene.tensors();
+        let (tensors, options) = (scene.tensors(), scene.fill_in(&SEEN));
         let given = |_: &mut Recorder, _: Tensor| d_frames;
-        let (outputs, _) = record_with_gradients(&mut rec, tensors, cameras, shape, &SEEN, capacity, given, &gradients);
+        let (outputs, _) =
+            record_with_gradients(&mut rec, tensors, cameras, shape, &options, capacity, given, &gradients);
         rec.output(d_cameras);
         let run = Run::in_arena(arena, 0, rec.finish()?, [scene.resident().clone()])?;
         Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })

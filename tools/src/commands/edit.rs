@@ -11,7 +11,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::{
     Camera, Edit as Operation, Error, Result, SaveOptions, Scene,
-    types::{SceneFormat, World, poses::Capture, read_world},
+    types::{World, poses::Capture, read_world},
 };
 
 /// Clean, crop, move, merge and shrink scenes
@@ -27,7 +27,8 @@ use zipsplat::{
   zipsplat edit left.ply right.ply --min-opacity 0.05 --sh-degree 0 -o both.ply
   zipsplat edit scene.ply --cameras transforms.json --level --scale 2 -o level.glb")]
 pub struct Edit {
-    /// Scenes (PLY, SPZ, SOG, .splat or glTF) in one world; several are merged
+    /// Scenes (PLY, SPZ, SOG, .splat or glTF) in one world, all antialiased or none; several are
+    /// merged
     #[arg(required = true, value_name = "SCENE")]
     scenes: Vec<PathBuf>,
     /// Scene to write: .ply, .spz, .sog, .splat, .glb or .gltf
@@ -122,12 +123,7 @@ impl Edit {
         let cameras = self.cameras(session, world.as_ref())?;
         let ((edited, reports), _) = session.stage("edit", |_| scene.edit(edits, &cameras))?;
         let world = world.filter(|_| !edits.iter().any(Operation::moves));
-        let note = outputs::save_scene(&self.output, &edited, &SaveOptions::default(), world.as_ref())?;
-        note.into_iter().for_each(|note| session.note(note));
-        let keeps_color = SceneFormat::of_extension(&self.output).is_none_or(SceneFormat::keeps_view_dependence);
-        if edited.sh_degree > 0 && !keeps_color {
-            session.note("the format stores one color per Gaussian: view-dependent color is left out");
-        }
+        session.notes(outputs::save_scene(&self.output, &edited, &SaveOptions::default(), world.as_ref())?);
         let written = size_of(&self.output)?;
         let json = json!({
             "output": self.output, "gaussians": edited.len(), "input_gaussians": scene.len(), "dropped": dropped,
@@ -153,7 +149,7 @@ impl Edit {
                 session.note(format!("{} states another world than {first}: merged as they are", path.display()));
                 world = None;
             }
-            merged = Scene::concat(merged, scene);
+            merged = Scene::concat(merged, scene)?;
             dropped += invalid;
         }
         Ok((merged, dropped, world))

@@ -105,8 +105,8 @@ impl Refine {
         let files = PhotoFiles::new(&photos, &frames)?;
         let (refined, request) = self.refine(session, &device, &started, files)?;
         let options = SaveOptions::default();
-        let note = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
-        note.into_iter().for_each(|note| session.note(note));
+        let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
+        session.notes(notes);
         if let Some(path) = &self.cameras_out {
             save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames)?;
         }

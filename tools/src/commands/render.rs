@@ -48,9 +48,6 @@ pub struct Render {
     /// such as white
     #[arg(long, value_name = "COLOR", default_value = "0,0,0", value_parser = color::parse)]
     background: [f32; 3],
-    /// Fade Gaussians thinner than a pixel, as Mip-Splatting does
-    #[arg(long)]
-    antialiased: bool,
     /// Also write NNN.depth.png: 16-bit gray, 1000 levels per world unit, 0 without Gaussians
     #[arg(long, value_name = "KIND", num_args = 0..=1, require_equals = true, default_missing_value = "expected")]
     depth: Option<DepthKind>,
@@ -206,7 +203,7 @@ impl Render {
             normals: self.normals,
             token_group: self.gaussians_per_token,
             background: self.background,
-            antialiased: self.antialiased,
+            antialiased: self.input.antialiased,
             near: None,
             layout: None,
         }

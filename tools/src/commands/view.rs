@@ -22,7 +22,7 @@ use std::{
 };
 use tempfile::NamedTempFile;
 use zipsplat::{
-    Error, Result,
+    Edit, Error, Result,
     types::{Image, SaveOptions, Scene, SceneFormat, poses::CaptureView, read_world, spz_coarsening, write_atomic},
     weights::DepthCheckpoint,
 };
@@ -119,7 +119,10 @@ impl View {
         }
         let mut scenes = Vec::new();
         for path in &self.files {
-            scenes.push(self.input.read(session, path)?.0);
+            let (scene, _) = self.input.read(session, path)?;
+            // A served page draws the first Gaussians while others arrive. Tokens need the order.
+            let sorts = self.output.is_none() && self.gaussians_per_token.is_none();
+            scenes.push(if sorts { scene.edit(&[Edit::Sort], &[])?.0 } else { scene });
         }
         let shown = |path: &PathBuf| {
             let bytes = size_of(path)?;

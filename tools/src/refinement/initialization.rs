@@ -49,7 +49,11 @@ impl Initialization {
         match self {
             Self::Scene => of_scene(),
             Self::Points => of_points(),
-            Self::Both => Ok(Scene::concat(of_scene()?, of_points()?)),
+            Self::Both => {
+                let scene = of_scene()?;
+                let points = Scene { antialiased: scene.antialiased, ..of_points()? };
+                Scene::concat(scene, points)
+            }
         }
     }
 }

@@ -19,11 +19,13 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/path.js"),
     include_str!("../../viewer/live.js"),
     include_str!("../../viewer/refining.js"),
+    include_str!("../../viewer/edit.js"),
     include_str!("../../viewer/page.js"),
 );
 const WORKER: &str = concat!(
     include_str!("../../viewer/zstd.js"),
     include_str!("../../viewer/formats.js"),
+    include_str!("../../viewer/writers.js"),
     include_str!("../../viewer/worker.js")
 );
 

@@ -451,6 +451,10 @@ typedef struct zs_gaussians {
     // world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis times
     // coefficients).
     const float *sh_coeffs;
+    // 1 if the scene was optimized with opacity compensation, else 0; see zs_antialiasing.
+    uint32_t antialiased;
+    // 0.
+    uint32_t reserved;
 } zs_gaussians;
 
 // Options for reading scenes.
@@ -566,10 +570,10 @@ typedef struct zs_edit {
     double numbers[6];
 } zs_edit;
 
-// Merges `scenes`, one or more in one world, and applies `edits` in order. `cameras`, in that
-// world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN; edits that move the scene
-// move them, too. `gaussian_counts` is NULL or gets the number of Gaussians after each edit. Edits
-// that leave none fail.
+// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in
+// order. `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN;
+// edits that move the scene move them, too. `gaussian_counts` is NULL or gets the number of
+// Gaussians after each edit. Edits that leave none fail.
 zs_status zs_scene_edit(const struct zs_scene *const *scenes,
                         size_t scene_count,
                         const struct zs_edit *edits,
@@ -1052,6 +1056,17 @@ ZS_ENUM(zs_depth_mode) {
     ZS_DEPTH_MODE_ACCUMULATED = 1,
 };
 
+// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
+// pixel.
+ZS_ENUM(zs_antialiasing) {
+    // As zs_gaussians.antialiased.
+    ZS_ANTIALIASING_AUTO = 0,
+    // For scenes optimized that way.
+    ZS_ANTIALIASING_ON = 1,
+    // For other scenes.
+    ZS_ANTIALIASING_OFF = 2,
+};
+
 // A scene on a device. Caches recordings for the last four sizes and kinds of output.
 typedef struct zs_renderer zs_renderer;
 
@@ -1082,8 +1097,8 @@ typedef struct zs_render_options {
     zs_pixel_format format;
     // Kind of zs_render_buffers.depth.
     zs_depth_mode depth;
-    // 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
-    uint32_t antialiased;
+    // Opacity compensation.
+    zs_antialiasing antialiasing;
     // Background as red, green, blue.
     float background[3];
     // Culls Gaussians at smaller camera depth. 0 is 0.01, or less for scenes with an extent below

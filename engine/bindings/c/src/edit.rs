@@ -72,10 +72,10 @@ impl zs_edit {
     }
 }
 
-/// Merges `scenes`, one or more in one world, and applies `edits` in order. `cameras`, in that
-/// world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN; edits that move the scene
-/// move them, too. `gaussian_counts` is NULL or gets the number of Gaussians after each edit. Edits
-/// that leave none fail.
+/// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in
+/// order. `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN;
+/// edits that move the scene move them, too. `gaussian_counts` is NULL or gets the number of
+/// Gaussians after each edit. Edits that leave none fail.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_edit(
     scenes: *const *const zs_scene,
@@ -105,7 +105,7 @@ pub unsafe extern "C" fn zs_scene_edit(
             camera.validate(&format!("camera {i}"))?;
         }
         let joined = |scene, other: &&zs_scene| Scene::concat(scene, Scene::clone(&other.scene));
-        let merged = others.iter().fold(Scene::clone(&first.scene), joined);
+        let merged = others.iter().try_fold(Scene::clone(&first.scene), joined)?;
         let (edited, reports) = merged.edit(&edits, &cameras)?;
         if !gaussian_counts.is_null() {
             for (i, report) in reports.iter().enumerate() {

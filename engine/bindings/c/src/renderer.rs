@@ -58,6 +58,21 @@ pub enum zs_depth_mode {
 
 pub(super) type zs_depth_mode_value = i32;
 
+/// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
+/// pixel.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_antialiasing {
+    /// As zs_gaussians.antialiased.
+    ZS_ANTIALIASING_AUTO = 0,
+    /// For scenes optimized that way.
+    ZS_ANTIALIASING_ON = 1,
+    /// For other scenes.
+    ZS_ANTIALIASING_OFF = 2,
+}
+
+pub(super) type zs_antialiasing_value = i32;
+
 /// Options of pictures.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -69,8 +84,8 @@ pub struct zs_render_options {
     pub format: zs_pixel_format_value,
     /// Kind of zs_render_buffers.depth.
     pub depth: zs_depth_mode_value,
-    /// 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
-    pub antialiased: u32,
+    /// Opacity compensation.
+    pub antialiasing: zs_antialiasing_value,
     /// Background as red, green, blue.
     pub background: [f32; 3],
     /// Culls Gaussians at smaller camera depth. 0 is 0.01, or less for scenes with an extent below
@@ -269,13 +284,19 @@ impl zs_render_options {
             1 => Depth::Accumulated,
             other => return Err(Failure::argument("depth", other, "a zs_depth_mode")),
         };
+        let antialiased = match self.antialiasing {
+            0 => None,
+            1 => Some(true),
+            2 => Some(false),
+            other => return Err(Failure::argument("antialiasing", other, "a zs_antialiasing")),
+        };
         Ok(RenderOptions {
             rgb,
             alpha,
             depth: wants_depth.then_some(depth),
             background: self.background,
             near: (self.near_plane > 0.0).then_some(self.near_plane),
-            antialiased: self.antialiased != 0,
+            antialiased,
             ..RenderOptions::default()
         })
     }

@@ -86,6 +86,10 @@ pub struct zs_gaussians {
     /// world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis times
     /// coefficients).
     pub sh_coeffs: *const f32,
+    /// 1 if the scene was optimized with opacity compensation, else 0; see zs_antialiasing.
+    pub antialiased: u32,
+    /// 0.
+    pub reserved: u32,
 }
 
 /// Options for writing scenes.
@@ -153,6 +157,7 @@ pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussian
             quats: scene.quats.as_ptr().cast(),
             opacities: scene.opacities.as_ptr(),
             sh_coeffs: scene.sh_coeffs.as_ptr().cast(),
+            antialiased: scene.antialiased.into(),
             ..Versioned::new()
         })
     };
@@ -187,6 +192,12 @@ impl zs_gaussians {
             let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
             return Err(Failure::argument("gaussians, sh_degree", self.sh_degree, expected));
         }
+        if self.antialiased > 1 {
+            return Err(Failure::argument("gaussians, antialiased", self.antialiased, "0 or 1"));
+        }
+        if self.reserved != 0 {
+            return Err(Failure::argument("gaussians, reserved", self.reserved, "0"));
+        }
         let n = self.count;
         if n > MAX_GAUSSIANS {
             return Err(Failure::argument("gaussians", n, format!("at most {MAX_GAUSSIANS}")));
@@ -205,6 +216,7 @@ impl zs_gaussians {
             fill(&mut scene.sh_coeffs, array(self.sh_coeffs.cast(), n * k, "sh_coeffs")?);
         }
         scene.sh_degree = self.sh_degree;
+        scene.antialiased = self.antialiased == 1;
         Ok(())
     }
 }

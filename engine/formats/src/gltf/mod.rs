@@ -23,12 +23,12 @@ use document::{Document, Primitive, unpack};
 pub(super) const BINARY: Format = Format {
     marks: &[b"glTF"],
     view_dependence: true,
+    antialiased: false,
     read: read_unchecked,
     world: Some(read_line),
     write: write::binary,
 };
-pub(super) const TEXT: Format =
-    Format { marks: &[], view_dependence: true, read: read_unchecked, world: Some(read_line), write: write::text };
+pub(super) const TEXT: Format = Format { marks: &[], write: write::text, ..BINARY };
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Relative tolerance of nodes' non-uniform scale and shear.
@@ -116,7 +116,7 @@ fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive)
         row.iter_mut().zip(&columns).for_each(|(coeff, column)| *coeff = column[i]);
     });
     let quats = quats.into_iter().map(|[x, y, z, w]| [w, x, y, z]).collect();
-    Ok(Scene { means, scales, quats, opacities: opacities.into_flattened(), sh_coeffs, sh_degree })
+    Ok(Scene { means, scales, quats, opacities: opacities.into_flattened(), sh_coeffs, sh_degree, antialiased: false })
 }
 
 fn place(mut part: Scene, to_world: &DMat4) -> Parsed<Scene> {

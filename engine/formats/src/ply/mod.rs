@@ -23,6 +23,7 @@ use table::{Column, MAX_HEADER, Parsed, Ply, Table};
 pub(super) const FORMAT: Format = Format {
     marks: &[b"ply"],
     view_dependence: true,
+    antialiased: true,
     read: read_unchecked,
     world: Some(read_line),
     write: |scene, _, world| Ok(encoder(scene, &start(world))),
@@ -35,6 +36,8 @@ const BATCH: usize = 1 << 16;
 const OPACITY_MARGIN: f32 = 1e-6;
 const START: &str = "ply\nformat binary_little_endian 1.0\n";
 const COMMENT: &str = "comment ";
+/// Brush's tag of antialiased scenes.
+const ANTIALIASED: [&str; 2] = ["SplatRenderMode:", "mip"];
 /// The logarithm of 0 is infinite.
 const MIN_SCALE: f32 = 1e-6;
 
@@ -55,7 +58,8 @@ fn read_line(path: &Path) -> Result<Option<String>> {
 
 fn encoder<'a>(scene: &'a Scene, start: &str) -> Encoder<'a> {
     let names = property_names(scene.sh_coeffs_per_gaussian());
-    let mut header = format!("{start}element vertex {}\n", scene.len());
+    let tag = if scene.antialiased { format!("{COMMENT}{}\n", ANTIALIASED.join(" ")) } else { String::new() };
+    let mut header = format!("{start}{tag}element vertex {}\n", scene.len());
     for name in &names {
         header += &format!("property float {name}\n");
     }
@@ -118,7 +122,10 @@ pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
 
 fn read_unchecked(source: Source<'_>) -> Result<Scene> {
     let path = source.name;
-    let decode = |mut ply: Ply<'_>| if packed::is(&ply) { packed::decode(&mut ply) } else { decode(&mut ply) };
+    let decode = |mut ply: Ply<'_>| {
+        let scene = if packed::is(&ply) { packed::decode(&mut ply) } else { decode(&mut ply) }?;
+        Ok(Scene { antialiased: ply.antialiased, ..scene })
+    };
     Ply::open(source).and_then(decode).map_err(|fault| fault.of(path))
 }
 

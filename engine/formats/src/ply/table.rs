@@ -3,6 +3,7 @@
 use std::io::{Chain, Cursor, Read};
 use std::path::Path;
 
+use super::ANTIALIASED;
 use crate::Error;
 use crate::source::Source;
 
@@ -27,6 +28,7 @@ impl Fault {
 pub(super) type Parsed<T> = Result<T, Fault>;
 
 pub(super) struct Ply<'a> {
+    pub antialiased: bool,
     ascii: bool,
     elements: Vec<Element>,
     values: Chain<Cursor<Vec<u8>>, Source<'a>>,
@@ -40,10 +42,10 @@ impl<'a> Ply<'a> {
     pub(super) fn open(mut source: Source<'a>) -> Parsed<Self> {
         let (mut start, length) = (Vec::new(), source.length());
         source.by_ref().take(MAX_HEADER as u64).read_to_end(&mut start).map_err(Fault::Unread)?;
-        let Header { ascii, elements, body } = Header::parse(&start)?;
+        let Header { antialiased, ascii, elements, body } = Header::parse(&start)?;
         let body_bytes = length.saturating_sub(body as u64);
         let values = Cursor::new(start.split_off(body)).chain(source);
-        Ok(Self { ascii, elements, values, passed: 0, body: body as u64, body_bytes })
+        Ok(Self { antialiased, ascii, elements, values, passed: 0, body: body as u64, body_bytes })
     }
 
     pub(super) fn has(&self, element: &str, property: &str) -> bool {
@@ -196,6 +198,7 @@ impl Table {
 }
 
 struct Header {
+    antialiased: bool,
     ascii: bool,
     elements: Vec<Element>,
     body: usize,
@@ -220,7 +223,7 @@ impl Header {
         if !bytes.starts_with(b"ply") {
             return Err(Fault::Damaged { offset: 0, reason: "does not start with \"ply\"".into() });
         }
-        let mut ascii = None;
+        let (mut antialiased, mut ascii) = (false, None);
         let mut elements: Vec<Element> = Vec::new();
         let mut offset = 0;
         for line in bytes[..bytes.len().min(MAX_HEADER)].split_inclusive(|&byte| byte == b'\n') {
@@ -245,8 +248,13 @@ impl Header {
                 }
                 ["end_header"] => {
                     let ascii = ascii.ok_or_else(|| fault("no format line before"))?;
-                    return Ok(Self { ascii, elements, body: offset + line.len() });
+                    return Ok(Self { antialiased, ascii, elements, body: offset + line.len() });
                 }
+                ["comment", name, mode] if name.eq_ignore_ascii_case(ANTIALIASED[0]) => {
+                    antialiased = mode.eq_ignore_ascii_case(ANTIALIASED[1]);
+                }
+                // Postshot's tag.
+                ["comment", name, flag] if name.eq_ignore_ascii_case("antialiased") => antialiased = flag == "1",
                 ["ply"] | ["comment" | "obj_info", ..] | [] => {}
                 _ => return Err(fault("not a line of a PLY header")),
             }

@@ -20,8 +20,14 @@ use super::{Scene, World, camera::unit_quaternion, source::Source};
 use crate::{Error, Result};
 use palette::Palette;
 
-pub(super) const FORMAT: Format =
-    Format { marks: &[], view_dependence: true, read: read_unchecked, world: Some(read_line), write: encoder };
+pub(super) const FORMAT: Format = Format {
+    marks: &[],
+    view_dependence: true,
+    antialiased: true,
+    read: read_unchecked,
+    world: Some(read_line),
+    write: encoder,
+};
 
 const VERSION: u32 = 2;
 const CODES: usize = 256;
@@ -34,12 +40,15 @@ const COLUMNS: usize = 64;
 /// The logarithm of 0 is infinite.
 const MIN_SCALE: f32 = 1e-9;
 const META: &str = "meta.json";
+/// Model of antialiased scenes.
+const ANTIALIASED: &str = "antialiased";
 const MAX_META: u64 = 1 << 20;
 const MAX_IMAGE: u64 = 1 << 30;
 
 #[derive(Deserialize)]
 struct Meta {
     count: usize,
+    model: Option<String>,
     means: Means,
     scales: Coded,
     quats: Plain,
@@ -174,6 +183,9 @@ fn encode(scene: &Scene, generator: &str) -> std::io::Result<Vec<(&'static str, 
         "quats": { "files": ["quats.webp"] },
         "sh0": { "codebook": padded(colors.centers), "files": ["sh0.webp"] },
     });
+    if scene.antialiased {
+        meta["model"] = ANTIALIASED.into();
+    }
     if k > 1 && n > 0 {
         let rest: Vec<f32> =
             scene.sh_coeffs.chunks_exact(k).flat_map(|coeffs| coeffs[1..].as_flattened()).copied().collect();
@@ -305,7 +317,7 @@ fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if degree > Scene::MAX_SH_DEGREE {
         return Err(format!("{META}: found {degree} bands, expected 0 to {}", Scene::MAX_SH_DEGREE));
     }
-    let mut scene = Scene::zeroed(n, degree);
+    let mut scene = Scene { antialiased: meta.model.as_deref() == Some(ANTIALIASED), ..Scene::zeroed(n, degree) };
     let k = scene.sh_coeffs_per_gaussian();
     for i in 0..n {
         scene.means[i] = std::array::from_fn(|axis| {

@@ -8,6 +8,8 @@ use crate::{Scene, axes::HalfTurn::AboutX, camera::unit_quaternion};
 /// Bits of a position's magnitude: 24 with sign.
 pub(super) const POSITION_BITS: u32 = 23;
 pub(super) const MAX_FRACTIONAL_BITS: u32 = 16;
+/// Flag of antialiased scenes.
+pub(super) const ANTIALIASED: u8 = 1;
 /// Natural logarithm of the smallest scale, and levels per factor of e.
 const MIN_LOG_SCALE: f32 = -10.0;
 const LOG_SCALE_LEVELS: f32 = 16.0;
@@ -24,6 +26,7 @@ pub(super) struct Layout {
     pub version: u32,
     pub sh_degree: u32,
     pub fractional_bits: u32,
+    pub antialiased: bool,
 }
 
 pub(super) fn fractional_bits(scene: &Scene) -> Result<u32> {
@@ -46,6 +49,11 @@ impl Layout {
 
     fn rest(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) - 1
+    }
+
+    /// Degree, fractional bits and flags, as in headers.
+    pub(super) fn fields(&self) -> [u8; 3] {
+        [self.sh_degree as u8, self.fractional_bits as u8, ANTIALIASED * u8::from(self.antialiased)]
     }
 
     /// Bytes per Gaussian of each section.
@@ -122,6 +130,7 @@ impl Layout {
             opacities: alphas.iter().map(|&level| f32::from(level) / 255.0).collect(),
             sh_coeffs,
             sh_degree: self.sh_degree,
+            antialiased: self.antialiased,
         }
     }
 }

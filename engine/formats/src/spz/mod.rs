@@ -26,6 +26,7 @@ use gzip::Gzip;
 pub(super) const FORMAT: Format = Format {
     marks: &[&[0x1f, 0x8b], b"NGSP"],
     view_dependence: true,
+    antialiased: true,
     read: read_unchecked,
     world: Some(read_line),
     write: encoder,
@@ -55,14 +56,16 @@ fn encoder<'a>(scene: &'a Scene, options: &SaveOptions, world: Option<&World>) -
     }
     let count = u32::try_from(scene.len())
         .map_err(|_| Error::argument("scene", format!("{} Gaussians", scene.len()), "fewer than 2^32 in an SPZ"))?;
-    let layout = Layout { version, sh_degree: scene.sh_degree, fractional_bits: codec::fractional_bits(scene)? };
+    let (fractional_bits, antialiased) = (codec::fractional_bits(scene)?, scene.antialiased);
+    let layout = Layout { version, sh_degree: scene.sh_degree, fractional_bits, antialiased };
     if version == 4 {
         return Ok(Box::new(move |out| streams::write(&layout, scene, count, out)));
     }
     Ok(Box::new(move |out| {
         let mut out = Gzip::begin(out, &comment)?;
         let mut header = [MAGIC, version, count].map(u32::to_le_bytes).concat();
-        header.extend([scene.sh_degree as u8, layout.fractional_bits as u8, 0, 0]);
+        header.extend(layout.fields());
+        header.push(0);
         out.write(&header)?;
         layout.encode(scene, |section| out.write(&section))?;
         out.finish()
@@ -76,7 +79,8 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
 }
 
 impl Layout {
-    fn of_header(version: u32, sh_degree: u8, fractional_bits: u8) -> std::result::Result<Self, Fault> {
+    /// Checks the [`fields`](Self::fields) of a header.
+    fn of_header(version: u32, [sh_degree, fractional_bits, flags]: [u8; 3]) -> std::result::Result<Self, Fault> {
         let fault = |offset: usize, reason: String| Err(Fault { offset: Some(offset), reason });
         if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
             return fault(12, format!("found degree {sh_degree}, expected 0 to {}", Scene::MAX_SH_DEGREE));
@@ -85,7 +89,8 @@ impl Layout {
             let most = codec::POSITION_BITS;
             return fault(13, format!("found {fractional_bits} fractional bits, expected 0 to {most}"));
         }
-        Ok(Self { version, sh_degree: sh_degree.into(), fractional_bits: fractional_bits.into() })
+        let antialiased = flags & codec::ANTIALIASED != 0;
+        Ok(Self { version, sh_degree: sh_degree.into(), fractional_bits: fractional_bits.into(), antialiased })
     }
 }
 
@@ -104,14 +109,14 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
     let mut header = [0; HEADER];
     stream.read_exact(&mut header).map_err(gzip)?;
     let word = |i: usize| u32::from_le_bytes(std::array::from_fn(|byte| header[4 * i + byte]));
-    let [sh_degree, fractional_bits, flags] = [header[12], header[13], header[14]];
+    let fields = [header[12], header[13], header[14]];
     if word(0) != MAGIC {
         return Err(fault(0, format!("found magic {:#010x}, expected {MAGIC:#010x} (\"NGSP\")", word(0))));
     }
     if !matches!(word(1), 2 | 3) {
         return Err(fault(4, format!("found version {}, expected 2 or 3", word(1))));
     }
-    let layout = Layout::of_header(word(1), sh_degree, fractional_bits)?;
+    let layout = Layout::of_header(word(1), fields)?;
     let expected = u64::from(word(2)) * layout.gaussian_bytes() as u64;
     // Checked before allocating by the count.
     if expected > ALWAYS_INFLATED.max(MAX_INFLATION * bytes.len() as u64) {
@@ -125,7 +130,7 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
         return Err(fault(HEADER + body.len(), reason));
     }
     // Reads to the end, where the checksum is.
-    let most = if flags & HAS_EXTENSIONS != 0 { MAX_EXTENSIONS } else { 0 };
+    let most = if fields[2] & HAS_EXTENSIONS != 0 { MAX_EXTENSIONS } else { 0 };
     let rest = std::io::copy(&mut stream.take(most + 1), &mut std::io::sink()).map_err(gzip)?;
     if rest > most {
         let reason = format!("found more than {most} bytes after {} Gaussians, expected the end", word(2));

@@ -30,11 +30,11 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if bytes.len() < HEADER {
         return fault(bytes.len(), format!("truncated: found {} bytes, expected a header of {HEADER}", bytes.len()));
     }
-    let (version, count, flags) = (word(bytes, 4), word(bytes, 8), bytes[14]);
+    let (version, count, fields) = (word(bytes, 4), word(bytes, 8), [bytes[12], bytes[13], bytes[14]]);
     if version != VERSION {
         return fault(4, format!("found version {version} outside a gzip stream, expected {VERSION}"));
     }
-    let layout = Layout::of_header(version, bytes[12], bytes[13])?;
+    let layout = Layout::of_header(version, fields)?;
     // zstd could expand any number from a few bytes.
     if u64::from(count) * layout.gaussian_bytes() as u64 > MAX_INFLATION * bytes.len() as u64 {
         return fault(8, format!("found {count} Gaussians in {} bytes, which cannot hold as many", bytes.len()));
@@ -43,7 +43,7 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if table < HEADER || table > bytes.len() {
         return fault(16, format!("found the table of streams at byte {table}, expected {HEADER} to {}", bytes.len()));
     }
-    if flags & HAS_EXTENSIONS != 0 {
+    if fields[2] & HAS_EXTENSIONS != 0 {
         check_axes(&bytes[..table])?;
     }
     let sections: Vec<usize> = layout.section_bytes().map(|section| section * count as usize).to_vec();
@@ -169,7 +169,8 @@ pub(super) fn write(layout: &Layout, scene: &Scene, count: u32, out: &mut dyn Wr
     for word in [MAGIC, VERSION, count] {
         out.write_all(&word.to_le_bytes())?;
     }
-    out.write_all(&[scene.sh_degree as u8, layout.fractional_bits as u8, 0, packed.len() as u8])?;
+    out.write_all(&layout.fields())?;
+    out.write_all(&[packed.len() as u8])?;
     out.write_all(&(HEADER as u32).to_le_bytes())?;
     out.write_all(&[0; HEADER - 20])?;
     for (packed, plain) in packed.iter().zip(&sections) {

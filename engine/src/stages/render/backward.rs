@@ -211,7 +211,7 @@ impl Backward<'_> {
                 camera_count: shape.cameras as u32,
                 width: shape.width,
                 height: shape.height,
-                antialiased: options.antialiased,
+                antialiased: options.is_antialiased(),
                 scene_gradients: gradients.scene.is_some(),
                 camera_gradients: gradients.cameras.is_some(),
             };

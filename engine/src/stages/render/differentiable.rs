@@ -98,7 +98,7 @@ impl Differentiator {
         }
         let _claim = self.arena.claim().expect("nobody else knows it");
         self.load(scene)?;
-        let options = options.with_near(scene.near());
+        let options = options.for_scene(scene);
         let mut found = HostGradients::default();
         for (camera, weights) in cameras.iter().zip(weights) {
             let values = interleaved(camera, weights, &options)?;

@@ -18,8 +18,8 @@ pub struct RenderOptions {
     pub token_group: Option<NonZeroU32>,
     /// Background; black costs nothing.
     pub background: [f32; 3],
-    /// Opacity compensation for screen-space blur (Mip-Splatting, Yu et al. 2024).
-    pub antialiased: bool,
+    /// Opacity compensation for screen-space blur, by default [`Scene::antialiased`].
+    pub antialiased: Option<bool>,
     /// Near plane in world units, positive, by default [`Scene::near`].
     pub near: Option<f32>,
     /// Device layout, for [`super::Renderer::render_to`].
@@ -35,7 +35,7 @@ impl Default for RenderOptions {
             normals: false,
             token_group: None,
             background: [0.0; 3],
-            antialiased: false,
+            antialiased: None,
             near: None,
             layout: None,
         }
@@ -54,8 +54,18 @@ impl RenderOptions {
         self.near.unwrap_or(NEAR)
     }
 
-    pub(super) fn with_near(self, near: f32) -> Self {
-        Self { near: self.near.or(Some(near)), ..self }
+    pub(super) fn is_antialiased(&self) -> bool {
+        self.antialiased.unwrap_or(false)
+    }
+
+    /// Fills in a scene's defaults.
+    pub(super) fn with_defaults(self, near: f32, antialiased: bool) -> Self {
+        Self { near: self.near.or(Some(near)), antialiased: self.antialiased.or(Some(antialiased)), ..self }
+    }
+
+    /// Fills in the defaults of `scene`.
+    pub fn for_scene(self, scene: &Scene) -> Self {
+        self.with_defaults(scene.near(), scene.antialiased)
     }
 
     pub(super) fn skipped_passes(&self, stored_degree: u32, used_degree: u32) -> Vec<SkippedPass> {
@@ -65,7 +75,7 @@ impl RenderOptions {
             ("depth", self.depth.is_some()),
             ("normals", self.normals),
             ("token colors", self.token_group.is_some()),
-            ("antialiasing", self.antialiased),
+            ("antialiasing", self.is_antialiased()),
         ];
         let mut skipped_passes: Vec<_> =
             asked.iter().filter(|(_, on)| !on).map(|(what, _)| SkippedPass::new(*what, "not asked for")).collect();

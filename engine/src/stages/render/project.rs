@@ -84,7 +84,7 @@ pub(super) fn record(
             near: options.near_plane(),
             color: options.rgb,
             sh_degree: scene.sh_degree,
-            antialiased: options.antialiased,
+            antialiased: options.is_antialiased(),
         };
         rec.dispatch(kernel, len * shape.cameras);
         if let Some(normals) = splats.normals {

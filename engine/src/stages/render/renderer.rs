@@ -160,8 +160,8 @@ impl Renderer {
 
     /// Skipped effects, with reasons.
     pub fn skipped_passes(&self, options: &RenderOptions) -> Vec<SkippedPass> {
-        let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree(), scene.tensors().sh_degree));
-        options.skipped_passes(degrees.0, degrees.1)
+        let Some(scene) = &self.scene else { return options.skipped_passes(0, 0) };
+        scene.fill_in(options).skipped_passes(scene.stored_degree(), scene.tensors().sh_degree)
     }
 
     /// Renders into an application's image or buffer. On return the copy is submitted; the next
@@ -253,7 +253,7 @@ impl Renderer {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let key = PlanKey { shape, backward: false, options: (options.with_near(scene.near()), turn) };
+        let key = PlanKey { shape, backward: false, options: (scene.fill_in(options), turn) };
         if self.plans.capacity == 0 {
             self.plans.capacity = first_capacity(scene.len());
         }

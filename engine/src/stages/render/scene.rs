@@ -1,4 +1,4 @@
-use super::{SceneTensors, range::drawable};
+use super::{RenderOptions, SceneTensors, range::drawable};
 use crate::stages::coeffs_of;
 use crate::{
     Result,
@@ -49,6 +49,7 @@ struct Gaussians {
     /// Source degree; bands above [`SceneTensors::sh_degree`] are zero.
     stored_degree: u32,
     near: f32,
+    antialiased: bool,
 }
 
 impl std::fmt::Debug for DeviceScene {
@@ -89,10 +90,11 @@ impl SceneMemory {
     ///
     /// # Panics
     /// If the previous scene exists.
-    pub fn scene(&mut self, stored_degree: u32, near: f32) -> DeviceScene {
+    pub fn scene(&mut self, stored_degree: u32, near: f32, antialiased: bool) -> DeviceScene {
         assert!(self.is_free(), "a scene in use was overwritten");
         let (memory, arena) = (self.memory.clone(), self.arena.clone());
-        let gaussians = Arc::new(Gaussians { memory, tensors: self.tensors, arena, stored_degree, near });
+        let tensors = self.tensors;
+        let gaussians = Arc::new(Gaussians { memory, tensors, arena, stored_degree, near, antialiased });
         self.user = Arc::downgrade(&gaussians);
         DeviceScene(gaussians)
     }
@@ -111,7 +113,7 @@ impl SceneMemory {
             let coeffs = scene.sh_coeffs.chunks_exact(scene.sh_coeffs_per_gaussian()).flat_map(|all| &all[..used]);
             memory.write(tensors.sh_coeffs, &coeffs.copied().collect::<Vec<_>>())?;
         }
-        Ok(self.scene(scene.sh_degree, scene.near()))
+        Ok(self.scene(scene.sh_degree, scene.near(), scene.antialiased))
     }
 
     pub fn tensors(&self) -> &SceneTensors {
@@ -121,7 +123,7 @@ impl SceneMemory {
 
 impl DeviceScene {
     pub fn read(&self) -> Result<Scene> {
-        self.0.tensors.read(&self.0.memory)
+        Ok(Scene { antialiased: self.0.antialiased, ..self.0.tensors.read(&self.0.memory)? })
     }
 
     pub fn downgrade(&self) -> WeakScene {
@@ -152,8 +154,9 @@ impl DeviceScene {
         self.0.arena.as_ref()
     }
 
-    pub(super) fn near(&self) -> f32 {
-        self.0.near
+    /// Returns options with the scene's defaults.
+    pub fn fill_in(&self, options: &RenderOptions) -> RenderOptions {
+        options.with_defaults(self.0.near, self.0.antialiased)
     }
 
     pub(super) fn stored_degree(&self) -> u32 {

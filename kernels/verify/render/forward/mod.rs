@@ -33,7 +33,7 @@ impl case::Problem for Problem {
         let request = RenderOptions {
             alpha: true,
             depth: Some(Depth::Accumulated),
-            antialiased,
+            antialiased: Some(antialiased),
             near: Some(NEAR),
             ..RenderOptions::default()
         };

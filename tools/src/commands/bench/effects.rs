@@ -38,7 +38,7 @@ pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size
         ("depth", RenderOptions { depth: Some(Depth::Expected), ..off }),
         ("normals", RenderOptions { normals: true, ..off }),
         ("token colors", RenderOptions { token_group: Some(GROUP), ..off }),
-        ("antialiasing", RenderOptions { antialiased: true, ..off }),
+        ("antialiasing", RenderOptions { antialiased: Some(true), ..off }),
         ("background", RenderOptions { background: [1.0; 3], ..off }),
     ];
     let camera = noise::camera(size.0, size.1);

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    types::{SaveOptions, SceneFormat, read_world, spz_coarsening},
+    types::{SaveOptions, SceneFormat, read_world},
     weights::Dtype,
 };
 
@@ -21,7 +21,7 @@ use zipsplat::{
 ///
 /// Detects a scene's format by its first bytes (.splat, .sog and .gltf by extension). Coordinates
 /// do not change. All formats except .splat and SPZ version 4 store the transform to the cameras'
-/// world.
+/// world, all except .splat and glTF --antialiased.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply
@@ -82,7 +82,7 @@ impl Convert {
         if is_scene {
             return summary::scene(session, &self.input, &self.scene_input);
         }
-        refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+        self.scene_input.refuse("a checkpoint", "a scene")?;
         if is_of_depth(&self.input) {
             return summary::depth_checkpoint(session, &open_depth(&self.input, true)?);
         }
@@ -96,18 +96,11 @@ impl Convert {
         let is_spz = format == SceneFormat::Spz;
         refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
-        if scene.sh_degree > 0 && !format.keeps_view_dependence() {
-            let format = format.extension();
-            session.note(format!("{format} stores one color per Gaussian: view-dependent color is left out"));
-        }
-        if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
-            session.note(note);
-        }
         let options = SaveOptions { spz_version: self.spz_version.unwrap_or(SaveOptions::default().spz_version) };
         let world = read_world(&self.input)?;
         let save = || outputs::save_scene(output, &scene, &options, world.as_ref());
-        let (note, _) = session.stage("write scene", |_| save())?;
-        note.into_iter().for_each(|note| session.note(note));
+        let (notes, _) = session.stage("write scene", |_| save())?;
+        session.notes(notes);
         let written = size_of(output)?;
         let json = json!({ "output": output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
         let text = format!("{}: {}, {}", output.display(), counted(scene.len(), "Gaussian"), bytes(written));
@@ -116,7 +109,7 @@ impl Convert {
 
     fn checkpoint(&self, session: &mut Session<'_>, output: &Path) -> Result<()> {
         refuse("--spz-version", self.spz_version.is_some(), "a checkpoint", "a scene")?;
-        refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+        self.scene_input.refuse("a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         if is_of_depth(&self.input) {
             return self.depth_checkpoint(session, output, dtype);

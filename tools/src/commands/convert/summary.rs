@@ -75,11 +75,12 @@ pub fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Resul
     let [opacities] = ranges(scene.opacities.iter().map(|opacity| [*opacity]));
     let corners = || Some([0, 1].map(|end| bounds.map(|range| range.map_or(f32::NAN, |range| range[end]))));
     let json = json!({
-        "path": path, "gaussians": count, "dropped": dropped, "sh_degree": degree, "bounds": bounds[0].and_then(|_| corners()),
-        "scales": scales, "opacities": opacities, "world": world, "bytes": size,
+        "path": path, "gaussians": count, "dropped": dropped, "sh_degree": degree, "antialiased": scene.antialiased,
+        "bounds": bounds[0].and_then(|_| corners()), "scales": scales, "opacities": opacities, "world": world, "bytes": size,
     });
-    let mut text =
-        format!("{path}: {}, spherical harmonics of degree {degree}, {}\n", counted(count, "Gaussian"), bytes(size));
+    let kind = if scene.antialiased { ", antialiased" } else { "" };
+    let (gaussians, size_text) = (counted(count, "Gaussian"), bytes(size));
+    let mut text = format!("{path}: {gaussians}, spherical harmonics of degree {degree}{kind}, {size_text}\n");
     let mut table = Table::new(1, &["", "least", "greatest"]);
     let [x, y, z] = bounds;
     for (name, range) in [("x", x), ("y", y), ("z", z), ("scale", scales), ("opacity", opacities)] {

@@ -48,7 +48,7 @@ pub struct ExternalScene {
     #[arg(long, value_enum, value_name = "HOW", default_value = "logit", requires = "scene")]
     opacities: Opacities,
     #[command(flatten)]
-    input: SceneInput,
+    pub input: SceneInput,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -72,10 +72,6 @@ enum Opacities {
 }
 
 impl ExternalScene {
-    pub fn has_input_options(&self) -> bool {
-        self.input.is_given()
-    }
-
     pub fn given(&self) -> Option<&Path> {
         self.scene.as_deref().or(self.from_depth.as_deref())
     }

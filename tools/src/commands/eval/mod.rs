@@ -14,7 +14,7 @@ use crate::{
     cameras::{Finding, KnownCameras},
     capture::Choice,
     metrics::LpipsOption,
-    options::{Network, Quality, Size, Weights, parse_length, refuse},
+    options::{Network, Quality, Size, Weights, parse_length},
     outputs::Overwrite,
     photos,
     protocol::Filter,
@@ -189,8 +189,9 @@ impl Eval {
             Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
         };
         self.refine.check()?;
-        let unused = self.external.given().is_none() && self.external.has_input_options();
-        refuse("--drop-invalid", unused, "without --scene", "with --scene")?;
+        if self.external.given().is_none() {
+            self.external.input.refuse("without --scene", "with --scene")?;
+        }
         let bilinear = self.series.protocol.is_some() && crop == Crop::Center;
         let filter = if bilinear { Filter::Bilinear } else { Filter::Lanczos };
         let compared = self.eval_size.unwrap_or(size);

@@ -37,9 +37,8 @@ use zipsplat::{
     refine::{RefineResult, StopReason},
     stages::render::Renderer,
     types::{
-        SaveOptions, SceneFormat,
+        SaveOptions,
         poses::{Capture, CaptureView, read_cloud},
-        spz_coarsening,
     },
 };
 
@@ -218,9 +217,6 @@ impl Reconstruct {
             scene.place(1.0, first);
             session.notes(coarse(first, forward.as_ref()));
         }
-        if SceneFormat::of_extension(self.output()) == Some(SceneFormat::Spz) {
-            session.notes(spz_coarsening(&scene));
-        }
         let save = || outputs::save_scene(self.output(), &scene, &SaveOptions::default(), world.as_ref());
         if let Some(RefinedScene {
             refined: RefineResult { stop_reason: Some(StopReason::Cancelled), best_step, .. },
@@ -231,8 +227,8 @@ impl Reconstruct {
             session.note(format!("{}: the best so far, after step {best_step}", self.output().display()));
             return Err(Error::Cancelled);
         }
-        let (note, write) = session.stage("write", |_| save())?;
-        session.notes(note);
+        let (notes, write) = session.stage("write", |_| save())?;
+        session.notes(notes);
         let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
         if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
             save_cameras(path, refined, &(*first).into(), &photos, &frames)?;

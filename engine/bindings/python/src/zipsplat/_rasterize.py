@@ -43,9 +43,8 @@ class Settings:
 
     def options(self) -> Any:
         kind, depth = lib.ZS_PIXEL_RGB_F32, lib.ZS_DEPTH_MODE_ACCUMULATED
-        return structure(
-            "render_options", format=kind, depth=depth, antialiased=int(self.antialiased), near_plane=self.planes[0]
-        )
+        mode = lib.ZS_ANTIALIASING_ON if self.antialiased else lib.ZS_ANTIALIASING_OFF
+        return structure("render_options", format=kind, depth=depth, antialiasing=mode, near_plane=self.planes[0])
 
 
 class _Renderers(threading.local):

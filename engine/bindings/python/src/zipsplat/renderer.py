@@ -15,6 +15,7 @@ from .errors import ArgumentError, ArgumentTypeError
 from .scene import Scene, native_gaussians
 
 DepthMode = Literal["expected", "accumulated"]
+_ANTIALIASING = {None: lib.ZS_ANTIALIASING_AUTO, True: lib.ZS_ANTIALIASING_ON, False: lib.ZS_ANTIALIASING_OFF}
 _DEPTHS = {"expected": lib.ZS_DEPTH_MODE_EXPECTED, "accumulated": lib.ZS_DEPTH_MODE_ACCUMULATED}
 
 
@@ -82,7 +83,7 @@ class Renderer(Owner):
         depth: Optional[DepthMode] = None,
         normals: bool = False,
         background: Sequence[float] = (0.0, 0.0, 0.0),
-        antialiased: bool = False,
+        antialiased: Optional[bool] = None,
         dtype: npt.DTypeLike = np.uint8,
     ) -> RenderOutput:
         """Renders the scene.
@@ -94,8 +95,8 @@ class Renderer(Owner):
                 depth times blending weight; or None.
             normals: Whether to return normals.
             background: Background as red, green, blue, from 0 to 1.
-            antialiased: Fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained
-                that way.
+            antialiased: Whether to fade Gaussians thinner than a pixel (Mip-Splatting); None for
+                the scene's `antialiased`.
             dtype: uint8 or float32, of the colors.
 
         Raises:
@@ -124,7 +125,7 @@ class Renderer(Owner):
             "render_options",
             format=lib.ZS_PIXEL_RGB8 if kind == np.uint8 else lib.ZS_PIXEL_RGB_F32,
             depth=_DEPTHS[depth or "expected"],
-            antialiased=int(antialiased),
+            antialiasing=_ANTIALIASING[antialiased],
             background=[float(value) for value in background],
         )
         arrays = {"pixels": rgb, "alpha": alphas, "depth": depths, "normals": normals_}

@@ -74,6 +74,8 @@ class Scene:
         sh_coeffs: [N, K, 3] float32 coefficients of spherical harmonics for red, green, blue, as in
             3D Gaussian Splatting; K = (sh_degree + 1) ** 2.
         sh_degree: Degree of spherical harmonics, 0 to 3.
+        antialiased: Whether the scene was optimized with opacity compensation for screen-space blur
+            (Mip-Splatting), which `render` then applies.
         world: "first_camera" or "input_cameras", as stated by the file; else None.
         dropped_count: Number of Gaussians dropped by `drop_invalid`.
         refinement: Result of the refinement behind the scene; None without one.
@@ -95,6 +97,7 @@ class Scene:
         call("zs_scene_get_gaussians", handle, found)
         count = int(found.count)
         self.sh_degree: int = found.sh_degree
+        self.antialiased = bool(found.antialiased)
         self.means: Array = array_at(handle, found.means, (count, 3))
         self.scales: Array = array_at(handle, found.scales, (count, 3))
         self.quats: Array = array_at(handle, found.quats, (count, 4))
@@ -133,6 +136,7 @@ class Scene:
         quats: npt.ArrayLike,
         opacities: npt.ArrayLike,
         sh_coeffs: npt.ArrayLike,
+        antialiased: bool = False,
     ) -> Scene:
         """Creates a scene from copies of arrays, shaped like the attributes.
 
@@ -140,6 +144,7 @@ class Scene:
             ArgumentError: a shape is invalid, or a value not finite or out of range.
         """
         gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs)
+        gaussians.antialiased = antialiased
         return cls(Handle("scene", "zs_scene_create", gaussians))
 
     @classmethod
@@ -172,13 +177,14 @@ class Scene:
         return cls(Handle("scene", "zs_scene_from_points", *pointers, len(points), views, len(views)))
 
     @classmethod
-    def from_gsplat(cls, params: Mapping[str, Any]) -> Scene:
+    def from_gsplat(cls, params: Mapping[str, Any], antialiased: bool = False) -> Scene:
         """Creates a scene from copies of gsplat's parameters, arrays or tensors.
 
         Args:
             params: "means" [N, 3], "scales" [N, 3] logarithms, "quats" [N, 4], "opacities" [N]
                 logits, "sh0" [N, 1, 3] and "shN" [N, K - 1, 3]. Its checkpoints have them as
                 "splats".
+            antialiased: Whether they were optimized with rasterize_mode "antialiased".
 
         Example:
             >>> scene = Scene.from_gsplat(torch.load("ckpt.pt")["splats"])
@@ -189,7 +195,8 @@ class Scene:
             raise ArgumentError(f"params: found none of {', '.join(missing)}, expected {', '.join(names)}")
         means, scales, quats, opacities, *sh = (_host(params[name]) for name in names)
         probabilities = 1 / (1 + np.exp(-opacities.astype(np.float64)))
-        return cls.from_arrays(means, np.exp(scales), quats, probabilities, np.concatenate(sh, axis=1))
+        coeffs = np.concatenate(sh, axis=1)
+        return cls.from_arrays(means, np.exp(scales), quats, probabilities, coeffs, antialiased)
 
     def to_gsplat(self, device: Union[str, TorchDevice] = "cpu") -> dict[str, torch.Tensor]:
         """Returns copies as gsplat's parameters, tensors on a torch device; see from_gsplat.
@@ -250,11 +257,12 @@ class Scene:
                 pictures contain the center), "clean" (drops floaters), "sh_degree", "decimate"
                 (merges similar neighbors; number left, or a fraction below 1), "sort" (by opacity
                 times the two largest scales).
-            merge: Scenes in the same world.
+            merge: Scenes in the same world, antialiased like this one.
             cameras: Cameras in the scene's world, for "level", "min_views" and "clean".
 
         Raises:
-            ArgumentError: an edit is invalid, needs cameras, or leaves no Gaussian.
+            ArgumentError: an edit is invalid, needs cameras, or leaves no Gaussian; only some scenes
+                are antialiased.
 
         Example:
             >>> small = scene.edit(["clean", ("crop_sphere", (0, 0, 2, 1.5)), ("decimate", 0.5)])
@@ -373,7 +381,7 @@ class Scene:
         depth: Optional[DepthMode] = None,
         normals: bool = False,
         background: Sequence[float] = (0.0, 0.0, 0.0),
-        antialiased: bool = False,
+        antialiased: Optional[bool] = None,
         dtype: npt.DTypeLike = np.uint8,
     ) -> RenderOutput:
         """Renders the scene once, as Renderer.render; for repeated calls keep a Renderer."""
@@ -406,13 +414,14 @@ class Scene:
         return len(self.means)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Scene.from_arrays, tuple(self.to_numpy().values())
+        return Scene.from_arrays, (*self.to_numpy().values(), self.antialiased)
 
     def __repr__(self) -> str:
         return f"<zipsplat.Scene of {len(self):,} Gaussians, degree {self.sh_degree}>"
 
     def _repr_html_(self) -> str:
         rows = [("Gaussians", f"{len(self):,}"), ("spherical harmonics", f"degree {self.sh_degree}")]
+        rows += [("antialiased", "yes")] * self.antialiased
         if len(self):
             ends = [self.means.min(axis=0), self.means.max(axis=0)]
             rows += [(axis, f"{low:.3g} to {high:.3g}") for axis, low, high in zip("xyz", *ends)]
