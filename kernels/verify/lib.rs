@@ -38,6 +38,7 @@ mod ops {
 mod refine {
     pub mod adam;
     pub mod anisotropy;
+    pub mod exposure;
 }
 mod render {
     pub mod backward;
@@ -336,5 +337,6 @@ pub fn catalog() -> Vec<Area> {
         ops::gelu::area(),
         refine::adam::area(),
         refine::anisotropy::area(),
+        refine::exposure::area(),
     ]
 }

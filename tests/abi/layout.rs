@@ -53,7 +53,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_depth_map { struct_size, reserved, width, height, depth, confidence, sky, camera, image_camera }
         zs_refine_options {
             struct_size, steps, views_per_step, holdout_views, max_image_size, target, optimize_cameras, perceptual_weight,
-            reserved, seed, max_gaussians, progress, user_data, seconds
+            exposure, seed, max_gaussians, progress, user_data, seconds
         }
         zs_refine_result {
             struct_size, stop_reason, steps, best_step, initial_loss, final_loss, initial_psnr, best_psnr, seconds,
@@ -98,6 +98,7 @@ fn constants() -> Vec<(String, usize)> {
         }
         zs_camera_source { ZS_CAMERA_SOURCE_DECODER, ZS_CAMERA_SOURCE_RAYS }
         zs_refine_target { ZS_REFINE_TARGET_GAUSSIANS, ZS_REFINE_TARGET_TOKENS }
+        zs_exposure_mode { ZS_EXPOSURE_AUTO, ZS_EXPOSURE_OFF, ZS_EXPOSURE_ON }
         zs_stop_reason { ZS_STOP_REASON_FINISHED, ZS_STOP_REASON_STOPPED, ZS_STOP_REASON_DIVERGED }
         zs_depth_mode { ZS_DEPTH_MODE_EXPECTED, ZS_DEPTH_MODE_ACCUMULATED }
         zs_antialiasing { ZS_ANTIALIASING_AUTO, ZS_ANTIALIASING_ON, ZS_ANTIALIASING_OFF }

@@ -12,7 +12,7 @@ use std::{
 use zipsplat::{
     gpu::Arena,
     reconstruct::{Model, ReconstructOptions},
-    refine::{FrozenHead, RefineLength, RefineOptions, RefineResult, refine_scene, refine_tokens},
+    refine::{Exposure, FrozenHead, RefineLength, RefineOptions, RefineResult, refine_scene, refine_tokens},
     stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Scene, read_ply, write_ply},
 };
@@ -162,19 +162,21 @@ fn a_time_sets_the_steps() {
 }
 
 #[test]
-fn cameras_are_optimized_and_gaussians_grow_as_in_rust() {
+fn cameras_and_exposures_are_optimized_and_gaussians_grow_as_in_rust() {
     let mut place = place(3);
     place.cameras[1].pose.translation.x += 0.01;
     let expected = place.in_rust(
         &RefineOptions {
             length: RefineLength::Steps(60),
             optimize_cameras: true,
+            exposure: Exposure::On,
             max_gaussians: Some(70),
             ..RefineOptions::default()
         },
         usize::MAX,
     );
-    let options = zs_refine_options { steps: 60, optimize_cameras: 1, max_gaussians: 70, ..Versioned::new() };
+    let exposure = zs_exposure_mode::ZS_EXPOSURE_ON as i32;
+    let options = zs_refine_options { steps: 60, optimize_cameras: 1, exposure, max_gaussians: 70, ..Versioned::new() };
     let (device, scene) = (open_device(), scene_of(&place.moved));
     let images: Vec<_> = place.photos.iter().map(image_of).collect();
     let (cameras, mut refined) = (place.c_cameras(), [zs_camera::new(); 3]);
@@ -317,7 +319,7 @@ fn tokens_are_refined_as_in_rust() {
         &["target of a scene", "zs_refine_reconstruction"],
     );
     refused(zs_refine_options { target: 2, ..Versioned::new() }, &["target", "zs_refine_target"]);
-    refused(zs_refine_options { reserved: 1, ..Versioned::new() }, &["reserved"]);
+    refused(zs_refine_options { exposure: 3, ..Versioned::new() }, &["exposure", "zs_exposure_mode"]);
     for (options, word) in [
         (zs_model_options { tokens: 2, ..Versioned::new() }, "tokens"),
         (zs_model_options { reserved: 1, ..Versioned::new() }, "reserved"),

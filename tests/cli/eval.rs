@@ -263,6 +263,22 @@ fn cameras_are_disturbed_and_refined() {
 }
 
 #[test]
+fn colors_are_corrected_where_exposures_were_learned() {
+    let folder = place();
+    let line = "eval @/place --views 4 --weights @/micro.safetensors --input-size 42x28 --refine 20 --init points";
+    let json = folder.run(&format!("{line} --exposure on --csv @/scores.csv --json")).json();
+    let [psnr, corrected] = ["psnr", "color_corrected_psnr"].map(|name| json["mean"][name].as_f64().expect("a number"));
+    assert!(corrected > psnr, "{psnr} dB, color-corrected {corrected} dB");
+    assert_eq!(json["refined"]["exposures"].as_array().map(Vec::len), Some(4));
+    let csv = folder.text("scores.csv");
+    assert!(csv.starts_with("view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips,color_corrected_psnr\n"), "{csv}");
+    let text = folder.run(&format!("{line} --exposure on")).success();
+    assert!(text.contains("color-corrected"), "{text}");
+    let json = folder.run(&format!("{line} --exposure off --json")).json();
+    assert!(json["mean"]["color_corrected_psnr"].is_null() && json["refined"]["exposures"].is_null());
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused() {
     let folder = place();
     folder.run("eval @/place --views 6 --weights @/micro.safetensors").fails(3, &["photos with cameras", "more than"]);

@@ -57,6 +57,7 @@ mod ops {
 mod refine {
     mod adam;
     mod anisotropy;
+    mod exposure;
 }
 mod render {
     mod backward;

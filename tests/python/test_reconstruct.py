@@ -158,6 +158,9 @@ def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path) -> N
 
     assert apart(sharp) < apart(coarse)
     assert np.array_equal(sharp.refinement.cameras.camera_to_world, opened.cameras.camera_to_world)
+    with pytest.raises(zipsplat.ArgumentError, match="exposure"):
+        coarse.refine(opened, steps=1, exposure="of")  # type: ignore[arg-type]
+    assert not same(coarse.refine(opened, steps=15, exposure="on"), sharp)
     moved = coarse.refine(opened, steps=15, optimize_cameras=True).refinement
     assert moved is not None and not np.array_equal(moved.cameras.camera_to_world, opened.cameras.camera_to_world)
     assert np.allclose(moved.cameras[0].camera_to_world, opened.cameras[0].camera_to_world)

@@ -20,7 +20,7 @@ use zipsplat::{
     perceptual::Perceptual,
     stages::render::{RenderOptions, Renderer},
     types::{
-        Camera, Image, PointCloud, Pose,
+        Camera, ColorTransform, Image, PointCloud, Pose,
         poses::{Capture, CaptureView, SceneScale, read_cloud},
         resample::resize_lanczos,
     },
@@ -56,6 +56,10 @@ pub struct Score {
     pub nearest_psnr: f64,
     pub mean_color_psnr: f64,
     pub lpips: Option<f64>,
+    /// Of the prediction with the color transform that fits the photo best, if exposures were
+    /// learned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub color_corrected_psnr: Option<f64>,
 }
 
 impl Choice {
@@ -223,6 +227,15 @@ impl ViewSplit {
         Ok(())
     }
 
+    pub fn score_colors(&self, scores: &mut [Score], drawn: &[Vec<f32>]) {
+        for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
+            let truth = values(&view.image);
+            let mut corrected = ColorTransform::fit(drawn, &truth).apply(drawn);
+            corrected.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
+            score.color_corrected_psnr = Some(psnr(&corrected, &truth));
+        }
+    }
+
     fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
         let (truth, near) = (values(&view.image), values(&alike(&self.nearest(view).image, &view.image)));
         Score {
@@ -232,6 +245,7 @@ impl ViewSplit {
             nearest_psnr: psnr(&near, &truth),
             mean_color_psnr: psnr(&mean_color(&near), &truth),
             lpips: None,
+            color_corrected_psnr: None,
         }
     }
 }
@@ -249,13 +263,17 @@ pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
 impl Score {
     pub fn mean(scores: &[Self]) -> Self {
         let mean = |value: fn(&Self) -> f64| scores.iter().map(value).sum::<f64>() / scores.len() as f64;
+        let mean_of_all = |value: fn(&Self) -> Option<f64>| {
+            scores.iter().map(value).sum::<Option<f64>>().map(|sum| sum / scores.len() as f64)
+        };
         Self {
             view: "mean".into(),
             psnr: mean(|score| score.psnr),
             ssim: mean(|score| score.ssim),
             nearest_psnr: mean(|score| score.nearest_psnr),
             mean_color_psnr: mean(|score| score.mean_color_psnr),
-            lpips: scores.iter().map(|score| score.lpips).sum::<Option<f64>>().map(|sum| sum / scores.len() as f64),
+            lpips: mean_of_all(|score| score.lpips),
+            color_corrected_psnr: mean_of_all(|score| score.color_corrected_psnr),
         }
     }
 }

@@ -6,6 +6,7 @@
 mod axes;
 mod bounded;
 mod camera;
+mod color_transform;
 mod edit;
 mod file;
 mod folder;
@@ -35,6 +36,7 @@ pub use camera::{
     Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, relative_encoding,
     unit_quaternion,
 };
+pub use color_transform::ColorTransform;
 pub use edit::{Edit, EditReport};
 pub use file::{Unfinished, open_file, remove_stale, write_atomic};
 pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};

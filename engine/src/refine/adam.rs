@@ -29,6 +29,39 @@ impl Adam {
     }
 }
 
+/// Adam on the host, for a photo's few numbers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HostAdam<const N: usize> {
+    first: [f64; N],
+    second: [f64; N],
+    steps: i32,
+}
+
+impl<const N: usize> Default for HostAdam<N> {
+    fn default() -> Self {
+        Self { first: [0.0; N], second: [0.0; N], steps: 0 }
+    }
+}
+
+impl<const N: usize> HostAdam<N> {
+    /// Returns the change of the numbers against `gradient`, with the rate of each. A non-finite
+    /// gradient changes nothing.
+    pub fn step(&mut self, adam: Adam, gradient: [f64; N], rate: impl Fn(usize) -> f64) -> [f64; N] {
+        if !gradient.iter().all(|g| g.is_finite()) {
+            return [0.0; N];
+        }
+        self.steps += 1;
+        let [beta1, beta2, eps] = [adam.beta1, adam.beta2, adam.eps].map(f64::from);
+        std::array::from_fn(|i| {
+            self.first[i] = beta1 * self.first[i] + (1.0 - beta1) * gradient[i];
+            self.second[i] = beta2 * self.second[i] + (1.0 - beta2) * gradient[i].powi(2);
+            let mean = self.first[i] / (1.0 - beta1.powi(self.steps));
+            let square = self.second[i] / (1.0 - beta2.powi(self.steps));
+            -rate(i) * mean / (square.sqrt() + eps)
+        })
+    }
+}
+
 /// Space of Adam's steps for a stored value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Space {

@@ -1,4 +1,4 @@
-use super::Adam;
+use super::{Adam, adam::HostAdam};
 use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec3};
 
@@ -10,28 +10,13 @@ const AFTER: f64 = 0.4;
 /// Each step optimizes (w, v) = 0 in `pose o (exp(w^), v)`: rotation about and translation along
 /// the camera's own axes.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct PoseAdam {
-    first: [f64; 6],
-    second: [f64; 6],
-    steps: i32,
-}
+pub struct PoseAdam(HostAdam<6>);
 
 impl PoseAdam {
     /// Returns the pose after a step against `gradient`, d loss / d (w, v), with rates of rotation
     /// in radians and of translation. A non-finite gradient changes nothing.
     pub fn step(&mut self, adam: Adam, pose: &Pose, gradient: [f64; 6], [turns, shifts]: [f64; 2]) -> Pose {
-        if !gradient.iter().all(|g| g.is_finite()) {
-            return *pose;
-        }
-        self.steps += 1;
-        let [beta1, beta2, eps] = [adam.beta1, adam.beta2, adam.eps].map(f64::from);
-        let moved: [f64; 6] = std::array::from_fn(|i| {
-            self.first[i] = beta1 * self.first[i] + (1.0 - beta1) * gradient[i];
-            self.second[i] = beta2 * self.second[i] + (1.0 - beta2) * gradient[i].powi(2);
-            let mean = self.first[i] / (1.0 - beta1.powi(self.steps));
-            let square = self.second[i] / (1.0 - beta2.powi(self.steps));
-            -(if i < 3 { turns } else { shifts }) * mean / (square.sqrt() + eps)
-        });
+        let moved = self.0.step(adam, gradient, |i| if i < 3 { turns } else { shifts });
         let rotation = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from_slice(&moved[..3])));
         pose.compose(&Pose { rotation, translation: DVec3::from_slice(&moved[3..]) })
     }

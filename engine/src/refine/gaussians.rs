@@ -4,7 +4,7 @@
 use super::{
     Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
     growth::padded,
-    planned::{PhotoLoss, PhotoPlan, record_photos},
+    planned::{PhotoLoss, PhotoPlan, Training, record_photos},
     record_adam, record_anisotropy_limit,
     views::View,
 };
@@ -56,6 +56,7 @@ pub(super) struct Gaussians {
     drawing: RenderOptions,
     gradients: Gradients,
     options: RefineOptions,
+    learns_exposures: bool,
     clear: Run,
     /// Also clears the gradients.
     update: Run,
@@ -126,6 +127,7 @@ impl Gaussians {
             drawing: RenderOptions::default(),
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
             options: options.clone(),
+            learns_exposures: false,
             clear,
             update: update.in_flight()?,
             schedule,
@@ -182,6 +184,11 @@ impl Gaussians {
         Ok(Some(found))
     }
 
+    pub fn learn_exposures(&mut self) {
+        self.learns_exposures = true;
+        self.plans.clear();
+    }
+
     /// Draws with the renderer's defaults for `scene`.
     pub fn draw_as(&mut self, scene: &Scene) {
         self.drawing = RenderOptions::default().for_scene(scene);
@@ -216,7 +223,12 @@ impl Gaussians {
         self.plans.get(PlanKey { shape, backward, options: () }, |capacity| {
             let mut rec = Recorder::new(self.arena.device().limits());
             let lpips = self.lpips.as_ref().map(|weights| &weights.lpips);
-            let training = backward.then_some((&self.options, &self.gradients, lpips));
+            let training = backward.then_some(Training {
+                options: &self.options,
+                gradients: &self.gradients,
+                lpips,
+                exposure: self.learns_exposures,
+            });
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, &self.drawing, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;

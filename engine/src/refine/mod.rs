@@ -3,6 +3,7 @@
 mod adam;
 mod anisotropy;
 mod cameras;
+mod exposure;
 mod free_space;
 mod gaussians;
 mod growth;
@@ -18,7 +19,8 @@ mod views;
 pub use adam::{Adam, Rate, Space, record_adam};
 pub use anisotropy::record_anisotropy_limit;
 pub use cameras::PoseAdam;
-pub use options::{LearningRates, PerceptualLoss, RefineLength, RefineOptions};
+pub use exposure::{EXPOSURE_NUMBERS, Exposed};
+pub use options::{Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use photos::Photos;
 pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use tokens::FrozenHead;
@@ -27,7 +29,7 @@ use crate::{
     Error, Result,
     gpu::{Arena, Profile},
     reconstruct::SceneTokens,
-    types::{Camera, Scene},
+    types::{Camera, ColorTransform, Scene},
 };
 use gaussians::Gaussians;
 use glam::DVec3;
@@ -96,6 +98,9 @@ pub struct RefineResult {
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
+    /// Transforms from the kept scene's colors to those of all photos, if exposures were learned;
+    /// held-out photos have the identity.
+    pub exposures: Option<Vec<ColorTransform>>,
     /// Steps to complete, also of a [`RefineLength::Time`].
     pub steps: usize,
     /// Mean loss per completed step over its photos.
@@ -240,7 +245,7 @@ fn run(
     let may_grow = options.max_gaussians.is_none() && grow(&options, options.length.most_steps()).is_some();
     if may_grow {
         let mut probe = probe(&options, cached)?;
-        if probe.training_psnr(cameras)? >= GROWTH_BELOW {
+        if probe.training_psnr()? >= GROWTH_BELOW {
             options.max_gaussians = Some(0);
         }
         cached = probe.photos;

@@ -4,7 +4,7 @@ use super::{
 };
 use crate::{
     Error, Result,
-    types::{Camera, Image, resample::resize_lanczos},
+    types::{Camera, ColorTransform, Image, resample::resize_lanczos},
 };
 use rayon::prelude::*;
 use std::{borrow::Cow, collections::HashMap, sync::Arc};
@@ -80,7 +80,8 @@ impl<'a> PhotoCache<'a> {
         let found = self.get(now, soon, factor)?;
         let view = |(photo, rgb): (&usize, Rgb)| {
             let camera = self.camera(*photo, &cameras[*photo], factor)?;
-            Ok(View { photo: *photo, size: self.size(*photo, factor), rgb, camera })
+            let (size, exposure) = (self.size(*photo, factor), ColorTransform::IDENTITY);
+            Ok(View { photo: *photo, size, rgb, camera, exposure })
         };
         now.iter().zip(found).map(view).collect()
     }

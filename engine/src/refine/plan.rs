@@ -1,8 +1,8 @@
 use super::{
-    Adam, RefineOptions, Space, filled,
+    Adam, Exposure, RefineOptions, Space, filled,
     gaussians::{batch_size, max_batch, scene_gradients, scene_tensors},
     grown_len,
-    planned::record_photos,
+    planned::{Training, record_photos},
     record_adam,
     schedule::Schedule,
     tokens_grow_not,
@@ -46,6 +46,7 @@ impl RefinePlan {
 }
 
 /// Plans a refinement against `photos` photos of `[width, height]` pixels, without a device.
+/// [`Exposure::Auto`] is planned as [`Exposure::Off`].
 ///
 /// # Errors
 ///
@@ -137,7 +138,8 @@ fn record_steps(
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
-        record_photos(&mut rec, scene, shape, capacity, &RenderOptions::default(), Some((options, gradients, lpips)));
+        let training = Training { options, gradients, lpips, exposure: options.exposure == Exposure::On };
+        record_photos(&mut rec, scene, shape, capacity, &RenderOptions::default(), Some(training));
         plans.push(rec.finish()?);
     }
     let [width, height] = photo_size(1);

@@ -1,4 +1,8 @@
-use super::{PerceptualLoss, RefineOptions, views::View};
+use super::{
+    PerceptualLoss, RefineOptions,
+    exposure::{EXPOSURE_NUMBERS, Exposed},
+    views::View,
+};
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
@@ -35,6 +39,17 @@ pub(super) struct Learning {
     pub perceptual: Option<(f32, Tensor)>,
     /// `[cameras, 10]`, if cameras are refined.
     pub d_cameras: Option<Tensor>,
+    /// Color transforms `[cameras, 3, 4]` and their gradient, if exposures are learned.
+    pub exposures: Option<[Tensor; 2]>,
+}
+
+/// Settings of a plan that accumulates gradients.
+pub(super) struct Training<'a> {
+    pub options: &'a RefineOptions,
+    pub gradients: &'a Gradients,
+    pub lpips: Option<&'a Lpips>,
+    /// Whether the photos have color transforms.
+    pub exposure: bool,
 }
 
 pub(super) struct PhotoLoss {
@@ -42,6 +57,8 @@ pub(super) struct PhotoLoss {
     pub loss: f32,
     /// Camera gradient d loss / d (w, v), if cameras are refined.
     pub d_pose: Option<[f32; 6]>,
+    /// Gradient by the color transform, if exposures are learned.
+    pub d_exposure: Option<[f32; EXPOSURE_NUMBERS]>,
 }
 
 pub(super) fn record_photos(
@@ -50,11 +67,11 @@ pub(super) fn record_photos(
     shape: FrameShape,
     capacity: usize,
     drawing: &RenderOptions,
-    training: Option<(&RefineOptions, &Gradients, Option<&Lpips>)>,
+    training: Option<Training<'_>>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
-    let Some((options, gradients, lpips)) = training else {
+    let Some(Training { options, gradients, lpips, exposure }) = training else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, drawing, capacity) };
     };
     let d_cameras = options.optimize_cameras.then(|| {
@@ -65,16 +82,24 @@ pub(super) fn record_photos(
     let values = 3 * count * width as usize * height as usize;
     let photos = rec.input::<u32>("photos", values.div_ceil(4));
     let targets = rec.scope("loss", |rec| record_targets(rec, photos, values));
+    let transforms = exposure.then(|| rec.input::<[f32; EXPOSURE_NUMBERS]>("exposures", count));
     let mut learning = None;
     let compare = |rec: &mut Recorder, frames: Tensor| {
         let scale = 1.0 / options.views_per_step as f32;
+        let exposed = transforms.map(|transforms| Exposed::record(rec, [frames, targets, transforms], shape));
+        let frames = exposed.map_or(frames, |exposed| exposed.exposed);
         let LossTensors { value, d_frames } =
             record_loss(rec, options.loss, frames, targets, shape, drawing.channels(), scale);
         rec.output(value);
         let perceptual =
             lpips.and_then(|lpips| record_perceptual(rec, lpips, options, [frames, targets, d_frames], shape));
         perceptual.iter().for_each(|(_, value)| rec.output(*value));
-        learning = Some(Learning { photos, losses: value, perceptual, d_cameras });
+        let exposures = exposed.zip(transforms).map(|(exposed, transforms)| {
+            let d_transforms = exposed.record_backward(rec, d_frames);
+            rec.output(d_transforms);
+            [transforms, d_transforms]
+        });
+        learning = Some(Learning { photos, losses: value, perceptual, d_cameras, exposures });
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
@@ -111,22 +136,31 @@ impl PhotoPlan {
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;
-        if let Some(Learning { photos, .. }) = self.recorded.learning {
+        if let Some(Learning { photos, exposures, .. }) = self.recorded.learning {
             let bytes: Vec<&[u8]> = views.iter().map(|view| view.rgb.as_slice()).collect();
             self.run.write(photos, &bytes.concat())?;
+            if let Some([transforms, _]) = exposures {
+                self.run.write(transforms, &views.iter().map(|view| view.exposure.0).collect::<Vec<_>>())?;
+            }
         }
         Ok(())
     }
 
     pub fn losses(&self, views: &[&View]) -> Result<Vec<PhotoLoss>> {
-        let Learning { losses, perceptual, d_cameras, .. } = self.recorded.learning.expect("it learns");
+        let Learning { losses, perceptual, d_cameras, exposures, .. } = self.recorded.learning.expect("it learns");
         let mut losses: Vec<f32> = self.run.read(losses)?;
         if let Some((weight, value)) = perceptual {
             losses[0] += weight * self.run.read::<f32>(value)?[0];
         }
-        let poses: Option<Vec<[f32; CAMERA_NUMBERS]>> = d_cameras.map(|tensor| self.run.read(tensor)).transpose()?;
-        let pose = |i: usize| poses.as_ref().map(|all| std::array::from_fn(|k| all[i][k]));
-        let of = |(i, view): (usize, &&View)| PhotoLoss { photo: view.photo, loss: losses[i], d_pose: pose(i) };
+        let d_cameras: Option<Vec<[f32; CAMERA_NUMBERS]>> =
+            d_cameras.map(|tensor| self.run.read(tensor)).transpose()?;
+        let d_exposures: Option<Vec<_>> = exposures.map(|[_, tensor]| self.run.read(tensor)).transpose()?;
+        let of = |(i, view): (usize, &&View)| PhotoLoss {
+            photo: view.photo,
+            loss: losses[i],
+            d_pose: d_cameras.as_ref().map(|all| std::array::from_fn(|k| all[i][k])),
+            d_exposure: d_exposures.as_ref().map(|all| all[i]),
+        };
         Ok(views.iter().enumerate().map(of).collect())
     }
 }

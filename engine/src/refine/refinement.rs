@@ -1,6 +1,7 @@
 use super::{
     RefineOptions, RefineProgress, RefineResult, StopReason,
     cameras::Cameras,
+    exposure::{Exposures, first_step},
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
@@ -12,7 +13,7 @@ use super::{
 use crate::{
     Error, Result,
     gpu::Profile,
-    types::{Camera, Scene},
+    types::{Camera, ColorTransform, Scene},
 };
 use std::{
     collections::VecDeque,
@@ -31,6 +32,7 @@ const DIVERGED: f32 = 4.0;
 pub(super) struct Refinement<'a> {
     pub photos: PhotoCache<'a>,
     cameras: Cameras,
+    exposures: Option<Exposures>,
     options: RefineOptions,
     steps: usize,
     schedule: Schedule,
@@ -65,6 +67,7 @@ struct Kept {
     step: usize,
     scene: Scene,
     cameras: Vec<Camera>,
+    exposures: Option<Exposures>,
 }
 
 impl<'a> Refinement<'a> {
@@ -110,7 +113,8 @@ impl<'a> Refinement<'a> {
             validation,
             holdout,
             fraction: 1.0,
-            kept: Kept { step: 0, scene, cameras: cameras.to_vec() },
+            kept: Kept { step: 0, scene, cameras: cameras.to_vec(), exposures: None },
+            exposures: None,
             sizes: Vec::new(),
             losses: Vec::new(),
             holdout_psnr: Vec::new(),
@@ -127,7 +131,7 @@ impl<'a> Refinement<'a> {
         progress: &mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>,
         begin: Instant,
     ) -> Result<RefineResult> {
-        let before = self.training_psnr(&self.kept.cameras.clone())?;
+        let before = self.training_psnr()?;
         self.fraction = rate_of_error(before);
         // Held-out photos select the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
@@ -136,19 +140,21 @@ impl<'a> Refinement<'a> {
         let profile = self.options.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
         self.gaussians.show(&self.kept.scene)?;
-        let mut after = self.training_psnr(&self.kept.cameras.clone())?;
+        let mut after = self.training_psnr()?;
         if let Some(given) = given
             && (after.is_nan() || after < before)
         {
             (self.kept, after) = (given, before);
         }
         let Self { losses, kept, holdout_psnr, holdout, sizes, .. } = self;
-        let Kept { step: best_step, scene, cameras } = kept;
+        let Kept { step: best_step, scene, cameras, exposures } = kept;
+        let exposures = exposures.map(|exposures| (0..cameras.len()).map(|photo| exposures.get(photo)).collect());
         let training_psnr = [after, before];
         let took = begin.elapsed();
         Ok(RefineResult {
             scene,
             cameras,
+            exposures,
             steps: self.steps,
             losses,
             best_step,
@@ -170,11 +176,16 @@ impl<'a> Refinement<'a> {
     ) -> Result<Option<StopReason>> {
         let steps = self.steps;
         let interval = steps.div_ceil(EVALUATIONS).max(1);
+        let first_exposed = first_step(steps);
         self.evaluate(0)?;
         self.photos.fill(&self.training)?;
         for step in 0..steps {
             self.resize(step);
-            let views = match self.next_views() {
+            if step == first_exposed {
+                let (training, views, count) = (&self.training, &self.measured, self.cameras.all().len());
+                self.exposures = Exposures::start(&mut self.gaussians, &self.options, training, views, count)?;
+            }
+            let mut views = match self.next_views() {
                 Ok(views) => views,
                 Err(error) if step > 0 => {
                     self.evaluate(step)?;
@@ -185,11 +196,14 @@ impl<'a> Refinement<'a> {
                 }
                 Err(error) => return Err(error),
             };
+            if let Some(exposures) = &mut self.exposures {
+                exposures.expose(&mut self.gaussians, &mut views)?;
+            }
             let found =
                 self.gaussians.step(&views.iter().collect::<Vec<_>>(), self.fraction * self.schedule.rate(step))?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
             self.losses.push(loss);
-            self.move_cameras(step, &found);
+            self.step_photos(step, &found);
             let done = step + 1;
             if !loss.is_finite() {
                 return Ok(Some(StopReason::Diverged(format!("the loss of step {done} is {loss}"))));
@@ -233,18 +247,23 @@ impl<'a> Refinement<'a> {
         self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)
     }
 
-    pub fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
+    /// Returns the mean PSNR with the kept cameras and exposures.
+    pub fn training_psnr(&mut self) -> Result<f64> {
+        let Kept { cameras, exposures, .. } = &self.kept;
         let (mut sum, mut seen) = (0.0, false);
         for view in &mut self.measured {
             view.camera.pose = cameras[view.photo].pose;
             let (drawn, intersections) = self.gaussians.draw(view)?;
-            sum += psnr(&drawn, view);
+            let drawn = exposures.as_ref().map(|all| all.get(view.photo).apply(&drawn)).unwrap_or(drawn);
+            sum += view.psnr(&drawn);
             seen |= intersections > 0;
         }
         for photo in &self.training {
             if !seen {
                 let (size, camera) = (self.photos.size(*photo, 1), self.photos.camera(*photo, &cameras[*photo], 1)?);
-                seen = self.gaussians.draw(&View { photo: *photo, size, rgb: Rgb::default(), camera })?.1 > 0;
+                let exposure = ColorTransform::IDENTITY;
+                let view = View { photo: *photo, size, rgb: Rgb::default(), camera, exposure };
+                seen = self.gaussians.draw(&view)?.1 > 0;
             }
         }
         if !seen {
@@ -254,11 +273,16 @@ impl<'a> Refinement<'a> {
         Ok(sum / self.measured.len() as f64)
     }
 
-    fn move_cameras(&mut self, step: usize, found: &[PhotoLoss]) {
-        let along = step as f64 / self.steps as f64;
-        for PhotoLoss { photo, d_pose, .. } in found {
-            d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, self.schedule.rate(step), along));
+    /// Steps the cameras and exposures of a step's photos.
+    fn step_photos(&mut self, step: usize, found: &[PhotoLoss]) {
+        let (rate, along) = (self.schedule.rate(step), step as f64 / self.steps as f64);
+        for PhotoLoss { photo, d_pose, d_exposure, .. } in found {
+            d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, rate, along));
+            if let (Some(exposures), Some(gradient)) = (&mut self.exposures, d_exposure) {
+                exposures.step(*photo, *gradient, rate);
+            }
         }
+        self.exposures.iter_mut().for_each(Exposures::center);
     }
 
     /// Returns the mean time of a step, from one at each size. Changes the Gaussians' moments.
@@ -310,7 +334,12 @@ impl<'a> Refinement<'a> {
         if !self.validation.is_empty() {
             let mut sum = 0.0;
             for view in &self.validation {
-                sum += psnr(&self.gaussians.draw(view)?.0, view) / self.validation.len() as f64;
+                let (mut drawn, _) = self.gaussians.draw(view)?;
+                if self.exposures.is_some() {
+                    let values: Vec<f32> = view.values().collect();
+                    drawn = ColorTransform::fit(&drawn, &values).apply(&drawn);
+                }
+                sum += view.psnr(&drawn) / self.validation.len() as f64;
             }
             self.holdout_psnr.push((step, sum));
             let best = self.holdout_psnr.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
@@ -323,8 +352,8 @@ impl<'a> Refinement<'a> {
         }
         if step > 0 && (!self.validation.is_empty() || self.latest <= self.least) {
             let cameras = self.cameras.all().to_vec();
-            let scene = self.scene()?;
-            self.next = Some(Kept { step, scene, cameras });
+            let (scene, exposures) = (self.scene()?, self.exposures.clone());
+            self.next = Some(Kept { step, scene, cameras, exposures });
         }
         Ok(())
     }
@@ -360,10 +389,4 @@ impl<'a> Refinement<'a> {
         let views = self.first_views(1)?;
         self.gaussians.profile(&views.iter().collect::<Vec<_>>())
     }
-}
-
-fn psnr(drawn: &[f32], view: &View) -> f64 {
-    let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
-    let squares: f64 = drawn.iter().zip(view.values()).map(square).sum();
-    -10.0 * (squares / drawn.len() as f64).max(1e-10).log10()
 }

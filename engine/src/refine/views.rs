@@ -3,7 +3,7 @@ use crate::{
     Result,
     random::Random,
     stages::render::check_camera,
-    types::{Camera, preprocess::PixelMap},
+    types::{Camera, ColorTransform, preprocess::PixelMap},
 };
 
 pub(super) struct View {
@@ -11,11 +11,18 @@ pub(super) struct View {
     pub size: [u32; 2],
     pub rgb: Rgb,
     pub camera: Camera,
+    pub exposure: ColorTransform,
 }
 
 impl View {
     pub fn values(&self) -> impl Iterator<Item = f32> {
         self.rgb.iter().map(|value| f32::from(*value) / 255.0)
+    }
+
+    pub fn psnr(&self, drawn: &[f32]) -> f64 {
+        let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
+        let squares: f64 = drawn.iter().zip(self.values()).map(square).sum();
+        -10.0 * (squares / drawn.len() as f64).max(1e-10).log10()
     }
 }
 

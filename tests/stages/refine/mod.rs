@@ -1,3 +1,4 @@
+mod exposure;
 mod opened;
 
 use std::time::Duration;

@@ -12,7 +12,7 @@ use zipsplat::{
     Error, Result,
     gpu::cache_dir,
     perceptual::Perceptual,
-    refine::{PerceptualLoss, RefineLength, RefineOptions},
+    refine::{self, PerceptualLoss, RefineLength, RefineOptions},
     stages::lpips::LpipsNetwork,
     types::Image,
 };
@@ -88,6 +88,17 @@ enum RefineTarget {
     Tokens,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Exposure {
+    /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
+    /// steps, at least 10
+    Auto,
+    /// Never
+    Off,
+    /// From a tenth of the steps on, at least 10
+    On,
+}
+
 #[derive(Args, Debug)]
 pub struct RefineSettings {
     /// Initialization [default: scene; for the built-in model points, if the capture has enough]
@@ -103,6 +114,10 @@ pub struct RefineSettings {
     /// Also optimize the photos' cameras, except those of the first photo and of held-out photos
     #[arg(long)]
     pub optimize_cameras: bool,
+    /// Learn a color transform per photo, for photos of different exposure or white balance. The
+    /// scene's colors are the photos' mean
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
+    exposure: Exposure,
     /// Grow the scene to at most N Gaussians (3DGS-MCMC) by relocating invisible Gaussians and
     /// adding new ones; 0: no growth [default: from 50 steps on and below a training PSNR
     /// of 25 dB, a Gaussian per 32 pixels of the photos, at most 16 times the initial number; from
@@ -115,8 +130,8 @@ pub struct RefineSettings {
     lpips_weight: Option<f32>,
 }
 
-const SETTINGS: [&str; 6] =
-    ["init", "max_image_size", "holdout_views", "optimize_cameras", "max_gaussians", "lpips_weight"];
+const SETTINGS: [&str; 7] =
+    ["init", "max_image_size", "holdout_views", "optimize_cameras", "exposure", "max_gaussians", "lpips_weight"];
 
 /// Of commands that refine on request.
 #[derive(Args, Debug)]
@@ -168,6 +183,11 @@ impl RefineSettings {
             max_image_size: Some([self.max_image_size.0, self.max_image_size.1]),
             holdout_views: self.holdout_views,
             optimize_cameras: self.optimize_cameras,
+            exposure: match self.exposure {
+                Exposure::Auto => refine::Exposure::Auto,
+                Exposure::Off => refine::Exposure::Off,
+                Exposure::On => refine::Exposure::On,
+            },
             max_gaussians: self.max_gaussians,
             perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),
             ..RefineOptions::default()

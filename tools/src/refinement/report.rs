@@ -40,6 +40,7 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
     json!({
         "init": start,
         "camera_movement": cameras.map(|[degrees, distance]| json!({ "rotation_deg": degrees, "translation": distance })),
+        "exposures": refined.exposures.as_ref().map(|all| all.iter().map(|exposure| exposure.0).collect::<Vec<_>>()),
         "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
         "holdout_psnr": refined.psnr().map(|[best, initial]| json!({ "initial": initial, "best": best })),
         "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
@@ -64,6 +65,7 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
         tokens,
         camera_rotation,
         camera_translation,
+        exposure,
     } = request.learning_rates;
     let mut rates = match start {
         TOKENS => format!("tokens {tokens}"),
@@ -75,6 +77,9 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
     if request.optimize_cameras {
         rates +=
             &format!(", camera rotations {camera_rotation}, translations {camera_translation} of the scene's distance");
+    }
+    if refined.exposures.is_some() {
+        rates += &format!(", exposures {exposure} times the steps between uses of a photo");
     }
     let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.holdout_views.len()));
     let or_none = |list: String| if list.is_empty() { "none".into() } else { list };

@@ -935,6 +935,17 @@ ZS_ENUM(zs_refine_target) {
     ZS_REFINE_TARGET_TOKENS = 1,
 };
 
+// Whether to learn a color transform per photo.
+ZS_ENUM(zs_exposure_mode) {
+    // If a factor per photo and color explains 20 % of the squared error after a tenth of the
+    // steps, at least 10.
+    ZS_EXPOSURE_AUTO = 0,
+    // Never.
+    ZS_EXPOSURE_OFF = 1,
+    // From a tenth of the steps on, at least 10.
+    ZS_EXPOSURE_ON = 2,
+};
+
 // Reason for the end of a refinement.
 ZS_ENUM(zs_stop_reason) {
     // All steps completed.
@@ -965,8 +976,9 @@ typedef struct zs_refine_options {
     uint32_t optimize_cameras;
     // Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
     float perceptual_weight;
-    // 0.
-    uint32_t reserved;
+    // Whether to learn a color transform per photo, for photos of different exposure or white
+    // balance. The scene has their mean.
+    zs_exposure_mode exposure;
     // Seed of the photo order and of growth.
     uint64_t seed;
     // Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 50

@@ -14,7 +14,7 @@ use std::{cell::Cell, ffi::c_void, ops::ControlFlow, time::Duration};
 use zipsplat::{
     Camera, Error, Image, Pose, RefineLength, RefineOptions, RefineResult,
     gpu::Arena,
-    refine::{PerceptualLoss, RefineProgress, StopReason, refine_scene, refine_tokens},
+    refine::{Exposure, PerceptualLoss, RefineProgress, StopReason, refine_scene, refine_tokens},
     stages::lpips::LpipsNetwork,
 };
 
@@ -32,6 +32,21 @@ pub enum zs_refine_target {
 }
 
 pub(super) type zs_refine_target_value = i32;
+
+/// Whether to learn a color transform per photo.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_exposure_mode {
+    /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
+    /// steps, at least 10.
+    ZS_EXPOSURE_AUTO = 0,
+    /// Never.
+    ZS_EXPOSURE_OFF = 1,
+    /// From a tenth of the steps on, at least 10.
+    ZS_EXPOSURE_ON = 2,
+}
+
+pub(super) type zs_exposure_mode_value = i32;
 
 /// Reason for the end of a refinement.
 #[repr(i32)]
@@ -69,8 +84,9 @@ pub struct zs_refine_options {
     pub optimize_cameras: u32,
     /// Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
     pub perceptual_weight: f32,
-    /// 0.
-    pub reserved: u32,
+    /// Whether to learn a color transform per photo, for photos of different exposure or white
+    /// balance. The scene has their mean.
+    pub exposure: zs_exposure_mode_value,
     /// Seed of the photo order and of growth.
     pub seed: u64,
     /// Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 50
@@ -292,9 +308,6 @@ impl zs_refine_options {
     fn engine(&self) -> Result<RefineOptions, Failure> {
         let default = RefineOptions::default();
         let or = |number: u32, default: u32| if number == 0 { default } else { number };
-        if self.reserved != 0 {
-            return Err(Failure::argument("zs_refine_options, reserved", self.reserved, "0"));
-        }
         if self.optimize_cameras > 1 {
             return Err(Failure::argument("optimize_cameras", self.optimize_cameras, "0 or 1"));
         }
@@ -304,6 +317,9 @@ impl zs_refine_options {
         if !(0..=zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32).contains(&self.target) {
             return Err(Failure::argument("target", self.target, "a zs_refine_target"));
         }
+        let modes = [Exposure::Auto, Exposure::Off, Exposure::On];
+        let exposure = usize::try_from(self.exposure).ok().and_then(|mode| modes.get(mode).copied());
+        let exposure = exposure.ok_or_else(|| Failure::argument("exposure", self.exposure, "a zs_exposure_mode"))?;
         let seconds = Duration::try_from_secs_f64(self.seconds)
             .map_err(|_| Failure::argument("seconds", self.seconds, "0 or a positive time"))?;
         let holdout_views = match self.holdout_views {
@@ -323,6 +339,7 @@ impl zs_refine_options {
             max_image_size: default.max_image_size.map(|sides| [0, 1].map(|i| or(self.max_image_size[i], sides[i]))),
             holdout_views,
             optimize_cameras: self.optimize_cameras == 1,
+            exposure,
             max_gaussians: (self.max_gaussians > 0).then_some(self.max_gaussians),
             perceptual_loss: (self.perceptual_weight > 0.0)
                 .then_some(PerceptualLoss { weight: self.perceptual_weight, network: LpipsNetwork::Vgg }),

@@ -92,6 +92,9 @@ impl<'a> Evaluator<'a> {
         };
         let (drawn, mut alignment) = self.draw(session, &capture)?;
         let mut scores = capture.scores(&drawn);
+        if reconstruction.refined.as_ref().is_some_and(|refined| refined.exposures.is_some()) {
+            capture.score_colors(&mut scores, &drawn);
+        }
         if let Some(lpips) = &mut self.lpips {
             session.stage("compare", |_| capture.score_lpips(&mut scores, &drawn, lpips))?;
             let rows = alignment.iter_mut().flat_map(|alignment| &mut alignment.rows);

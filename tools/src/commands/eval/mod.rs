@@ -126,8 +126,8 @@ pub struct Eval {
     #[command(flatten)]
     lpips: LpipsOption,
     /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row per compared
-    /// photo; with aligned cameras also unaligned_psnr, unaligned_ssim,
-    /// rotation_error_deg, translation_error, warning
+    /// photo; with learned exposures also color_corrected_psnr, or with aligned cameras
+    /// unaligned_psnr, unaligned_ssim, rotation_error_deg, translation_error, warning
     #[arg(long, value_name = "FILE", conflicts_with = "protocol")]
     csv: Option<PathBuf>,
     /// Picture of the differences of two pictures, amplified four times; a folder for folders

@@ -85,6 +85,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         reconstruction.scene.len(),
         capture.scene_scale
     ) + &alignment.as_ref().map_or_else(String::new, Alignment::summary)
+        + &mean.color_corrected_psnr.map_or_else(String::new, |psnr| format!("\ncolor-corrected {psnr:.2} dB (mean)"))
         + &refined.map_or_else(String::new, |refined| {
             format!("\n{}", refinement::summary(refined, reconstruction.started, &capture.training_views().1))
         });

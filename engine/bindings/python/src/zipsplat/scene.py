@@ -31,6 +31,7 @@ Format = Literal["ply", "spz", "sog", "splat", "gltf", "glb"]
 World = Literal["first_camera", "input_cameras"]
 SpzVersion = Literal[2, 3, 4]
 RefineTarget = Literal["gaussians", "tokens"]
+ExposureMode = Literal["auto", "off", "on"]
 EditName = Literal[
     "crop_box",
     "crop_sphere",
@@ -54,6 +55,7 @@ _WORLDS: dict[int, World] = {
     lib.ZS_WORLD_INPUT_CAMERAS: "input_cameras",
 }
 _REFINE_TARGETS = {"gaussians": lib.ZS_REFINE_TARGET_GAUSSIANS, "tokens": lib.ZS_REFINE_TARGET_TOKENS}
+_EXPOSURE_MODES = {name: getattr(lib, f"ZS_EXPOSURE_{name.upper()}") for name in get_args(ExposureMode)}
 _EDITS = {name: getattr(lib, f"ZS_EDIT_{name.upper()}") for name in get_args(EditName)}
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
 _LEAST_SCALE, _LEAST_OPACITY = 1e-30, 1e-7
@@ -295,6 +297,7 @@ class Scene:
         max_image_size: Optional[tuple[int, int]] = (1600, 1600),
         seed: int = 0,
         optimize_cameras: bool = False,
+        exposure: ExposureMode = "auto",
         max_gaussians: Union[int, Literal["auto"]] = "auto",
         perceptual_weight: float = 0.0,
         target: RefineTarget = "gaussians",
@@ -316,6 +319,8 @@ class Scene:
                 for full size.
             seed: Seed of the photo order.
             optimize_cameras: Whether to optimize the training photos' cameras, except the first.
+            exposure: "on" learns a color transform per photo, for photos of different exposure or
+                white balance; "auto" does if they explain much of the error after a few steps.
             max_gaussians: Final number of Gaussians; at most the scene's number: no growth. "auto"
                 grows from 50 steps on, if the photos' PSNR is below 25 dB.
             perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
@@ -351,6 +356,7 @@ class Scene:
             max_image_size=[positive("max_image_size", side) for side in max_image_size or (2**32 - 1,) * 2],
             seed=seed,
             optimize_cameras=int(optimize_cameras),
+            exposure=choose("exposure", exposure, _EXPOSURE_MODES),
             max_gaussians=0 if max_gaussians == "auto" else max(max_gaussians, 1),
             perceptual_weight=perceptual_weight,
             target=choose("target", target, _REFINE_TARGETS),

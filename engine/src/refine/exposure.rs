@@ -1,0 +1,237 @@
+//! Exposure of photos: a color transform each, from the scene's colors to the photo's.
+
+use super::{
+    Exposure, RefineOptions,
+    adam::HostAdam,
+    gaussians::{ADAM, Gaussians},
+    views::View,
+};
+use crate::{
+    Result,
+    gpu::{Recorder, Tensor},
+    kernels::{loss::Value, refine as kernels},
+    ops::row_chunks,
+    stages::FrameShape,
+    types::ColorTransform,
+};
+use std::ops::Range;
+
+/// Numbers of a transform.
+pub const EXPOSURE_NUMBERS: usize = 12;
+/// Least steps before exposures are learned, and their part of all steps: the scene then resembles
+/// the photos.
+const WARM_UP: [usize; 2] = [10, 10];
+/// Pixels per invocation of the backward pass.
+const RUN: usize = 8;
+/// Factor of half the squared distance from the identity in a photo's loss.
+const PRIOR: f64 = 0.02;
+/// Limit of a photo's first brightness relative to the scene's, and of its inverse.
+const MAX_GAIN: f64 = 4.0;
+/// Part of the squared error that different exposures explain if they are to be learned.
+const EXPLAINED: f64 = 0.2;
+/// Upper limit of a transform's rate in a step.
+const MAX_RATE: f64 = 0.1;
+
+/// Frames with the exposures of their photos.
+#[derive(Clone, Copy)]
+pub struct Exposed {
+    frames: Tensor,
+    targets: Tensor,
+    transforms: Tensor,
+    shape: FrameShape,
+    /// `[cameras, height, width, 3]` f32.
+    pub exposed: Tensor,
+}
+
+impl Exposed {
+    /// Records the transforms of `frames` `[cameras, height, width, 3]` by `transforms` `[cameras,
+    /// 3, 4]`. Values beyond the white or black of saturated `targets` become those.
+    pub fn record(rec: &mut Recorder, [frames, targets, transforms]: [Tensor; 3], shape: FrameShape) -> Self {
+        let exposed = rec.tensor::<f32>("exposed", 3 * pixels_of(shape) * shape.cameras);
+        rec.scope("exposure", |rec| {
+            for (cameras, [frames, targets, exposed]) in parts(rec, shape, [frames, targets, exposed]) {
+                let count = cameras.len() * pixels_of(shape);
+                let kernel = kernels::Exposure {
+                    frames,
+                    targets,
+                    transforms,
+                    exposed,
+                    count: count as u32,
+                    pixels: pixels_of(shape) as u32,
+                    first: cameras.start as u32,
+                };
+                rec.dispatch(kernel, count);
+            }
+        });
+        Self { frames, targets, transforms, shape, exposed }
+    }
+
+    /// Records the backward pass: `gradient` by the exposed frames becomes that by the frames.
+    /// Returns the gradient by the transforms, `[cameras, 3, 4]`.
+    pub fn record_backward(self, rec: &mut Recorder, gradient: Tensor) -> Tensor {
+        let Self { frames, targets, transforms, shape, .. } = self;
+        let d_transforms = rec.tensor::<[f32; EXPOSURE_NUMBERS]>("d_transforms", shape.cameras);
+        let groups = pixels_of(shape).div_ceil(RUN * rec.limits().subgroup_size as usize);
+        rec.scope("exposure", |rec| {
+            for (cameras, [frames, targets, gradient]) in parts(rec, shape, [frames, targets, gradient]) {
+                let sums = rec.tensor::<f32>("sums", EXPOSURE_NUMBERS * cameras.len() * groups);
+                let kernel = kernels::ExposureBackward {
+                    frames,
+                    targets,
+                    transforms,
+                    gradient,
+                    sums,
+                    cameras: cameras.len() as u32,
+                    pixels: pixels_of(shape) as u32,
+                    groups: groups as u32,
+                    first: cameras.start as u32,
+                    run: RUN as u32,
+                };
+                rec.dispatch_groups(kernel, cameras.len() * groups);
+                let first = (EXPOSURE_NUMBERS * cameras.start) as u32;
+                let kernel = Value { sums, values: d_transforms, first, count: groups as u32, scale: 1.0 };
+                rec.dispatch_groups(kernel, EXPOSURE_NUMBERS * cameras.len());
+            }
+        });
+        d_transforms
+    }
+}
+
+fn pixels_of(shape: FrameShape) -> usize {
+    shape.width as usize * shape.height as usize
+}
+
+/// Returns ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
+fn parts(
+    rec: &Recorder,
+    shape: FrameShape,
+    pictures: [Tensor; 3],
+) -> impl Iterator<Item = (Range<usize>, [Tensor; 3])> + use<> {
+    let values = 3 * pixels_of(shape);
+    row_chunks(rec, shape.cameras, &[size_of::<f32>() * values]).map(move |cameras| {
+        let part = |picture: Tensor| picture.slice::<f32>(cameras.start * values, cameras.len() * values);
+        (cameras.clone(), pictures.map(part))
+    })
+}
+
+/// Returns the step before which exposures may begin to be learned.
+pub(super) fn first_step(steps: usize) -> usize {
+    (steps / WARM_UP[1]).max(WARM_UP[0])
+}
+
+/// Factors of a drawn picture's red, green and blue that fit its photo best.
+struct Gains {
+    factors: [f64; 3],
+    /// Squared errors of the picture, without and with the factors.
+    squares: [f64; 2],
+}
+
+impl Gains {
+    fn new(gaussians: &mut Gaussians, view: &View) -> Result<Self> {
+        let (drawn, _) = gaussians.draw(view)?;
+        let mut sums = [[0.0; 3]; 3];
+        for (i, (drawn, value)) in drawn.iter().zip(view.values()).enumerate() {
+            let [drawn, value] = [drawn.clamp(0.0, 1.0), value].map(f64::from);
+            let products = [drawn * drawn, drawn * value, value * value];
+            sums[i % 3].iter_mut().zip(products).for_each(|(sum, product)| *sum += product);
+        }
+        let factor = |[dd, dt, _]: [f64; 3]| if dd > 0.0 { (dt / dd).clamp(1.0 / MAX_GAIN, MAX_GAIN) } else { 1.0 };
+        let factors = sums.map(factor);
+        let squares = |factors: [f64; 3]| {
+            let square = |([dd, dt, tt], factor): ([f64; 3], f64)| tt - factor * (2.0 * dt - factor * dd);
+            sums.into_iter().zip(factors).map(square).sum()
+        };
+        Ok(Self { factors, squares: [squares([1.0; 3]), squares(factors)] })
+    }
+
+    /// Returns whether the factors explain a large part of the pictures' errors.
+    fn differ(all: &[Self]) -> bool {
+        let [without, with] = [0, 1].map(|i| all.iter().map(|gains| gains.squares[i]).sum::<f64>());
+        with < (1.0 - EXPLAINED) * without
+    }
+}
+
+/// Transforms of all photos. Those of training photos are learned, with the identity as their mean:
+/// else a common factor would be the scene's or theirs.
+#[derive(Clone)]
+pub(super) struct Exposures {
+    /// Differences from the identity.
+    changes: Vec<[f64; EXPOSURE_NUMBERS]>,
+    /// Set from a photo's first use on.
+    adams: Vec<Option<HostAdam<EXPOSURE_NUMBERS>>>,
+    training: Vec<usize>,
+    rate: f64,
+}
+
+impl Exposures {
+    /// Begins to learn the exposures of `training` among `count` photos, if asked to or if those of
+    /// `views` differ.
+    pub fn start(
+        gaussians: &mut Gaussians,
+        options: &RefineOptions,
+        training: &[usize],
+        views: &[View],
+        count: usize,
+    ) -> Result<Option<Self>> {
+        if options.exposure == Exposure::Off {
+            return Ok(None);
+        }
+        let gains = views.iter().map(|view| Gains::new(gaussians, view)).collect::<Result<Vec<_>>>()?;
+        if options.exposure == Exposure::Auto && !Gains::differ(&gains) {
+            return Ok(None);
+        }
+        gaussians.learn_exposures();
+        let steps_per_round = training.len() as f64 / options.views_per_step as f64;
+        let mut exposures = Self {
+            changes: vec![[0.0; EXPOSURE_NUMBERS]; count],
+            adams: vec![None; count],
+            training: training.to_vec(),
+            rate: (f64::from(options.learning_rates.exposure) * steps_per_round).min(MAX_RATE),
+        };
+        views.iter().zip(&gains).for_each(|(view, gains)| exposures.set(view.photo, gains));
+        Ok(Some(exposures))
+    }
+
+    fn set(&mut self, photo: usize, gains: &Gains) {
+        self.adams[photo] = Some(HostAdam::default());
+        (0..3).for_each(|color| self.changes[photo][5 * color] = gains.factors[color] - 1.0);
+    }
+
+    /// Sets the transforms of views.
+    pub fn expose(&mut self, gaussians: &mut Gaussians, views: &mut [View]) -> Result<()> {
+        for view in views {
+            if self.adams[view.photo].is_none() {
+                self.set(view.photo, &Gains::new(gaussians, view)?);
+            }
+            view.exposure = self.get(view.photo);
+        }
+        Ok(())
+    }
+
+    pub fn get(&self, photo: usize) -> ColorTransform {
+        let mut transform = ColorTransform::IDENTITY;
+        let numbers = transform.0.as_flattened_mut().iter_mut();
+        numbers.zip(self.changes[photo]).for_each(|(number, change)| *number += change as f32);
+        transform
+    }
+
+    pub fn step(&mut self, photo: usize, gradient: [f32; EXPOSURE_NUMBERS], rate: f32) {
+        let (Some(adam), changes) = (&mut self.adams[photo], &mut self.changes[photo]) else { return };
+        let (gradient, rate) =
+            (std::array::from_fn(|i| f64::from(gradient[i]) + PRIOR * changes[i]), self.rate * f64::from(rate));
+        let moved = adam.step(ADAM, gradient, |_| rate);
+        changes.iter_mut().zip(moved).for_each(|(change, moved)| *change += moved);
+    }
+
+    /// Moves the mean of all training photos to the identity, once all have been used.
+    pub fn center(&mut self) {
+        if !self.training.iter().all(|photo| self.adams[*photo].is_some()) {
+            return;
+        }
+        let count = self.training.len() as f64;
+        for i in 0..EXPOSURE_NUMBERS {
+            let mean = self.training.iter().map(|photo| self.changes[*photo][i]).sum::<f64>() / count;
+            self.training.iter().for_each(|photo| self.changes[*photo][i] -= mean);
+        }
+    }
+}
