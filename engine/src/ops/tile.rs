@@ -103,17 +103,18 @@ impl Tile {
 
     /// Candidates, 32-query defaults first, larger first.
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
+        // Queries of a subgroup, subgroups, keys.
+        const GPU: &[[u32; 3]] = &[[32, 4, 64], [32, 2, 64], [32, 4, 32], [32, 1, 32], [16, 4, 64], [16, 1, 32]];
+        const CPU: &[[u32; 3]] = &[[8, 4, 16], [8, 2, 16], [8, 1, 16]];
         let Units { factor, shape, .. } = units;
-        let (queries, keys): (&[u32], &[u32]) = if limits.cpu { (&[8], &[16]) } else { (&[32, 16], &[64, 32]) };
-        let tiles = queries.iter().flat_map(|queries| {
-            let repeat = queries.div_ceil(shape.m);
-            let tile = move |subgroups, keys: u32| Self {
-                subgroups: [subgroups, 1],
-                repeats: [repeat, 1],
-                k: keys.next_multiple_of(shape.n.max(shape.k)),
-            };
-            [4, 2, 1].into_iter().flat_map(move |subgroups| keys.iter().map(move |keys| tile(subgroups, *keys)))
-        });
+        let tile = |&[queries, subgroups, keys]: &[u32; 3]| Self {
+            subgroups: [subgroups, 1],
+            repeats: [queries.div_ceil(shape.m), 1],
+            k: keys.next_multiple_of(shape.n.max(shape.k)),
+        };
+        // Registers hold the queries.
+        let holds = |&&[queries, ..]: &&[u32; 3]| queries as usize * channels <= 32 * Self::TUNED_CHANNELS;
+        let tiles = if limits.cpu { CPU } else { GPU }.iter().filter(holds).map(tile);
         // Mirrors kernels/ops/attention_matrix.comp.
         let shared_bytes = |tile: &Self| {
             let (channels, rows) = (channels as u32, tile.repeats[0] * shape.m);
