@@ -300,7 +300,7 @@ mod tests {
                 .tile(&limits, units)
         };
         let tiles = Tile::attention(&limits, units, Tile::TUNED_CHANNELS);
-        assert_eq!([(1, 1), (60_000, 24)].map(|(q, h)| choose(units, q, h, 64).subgroups), [[1, 1], [4, 1]]);
+        assert_eq!([(1, 1), (60_000, 24)].map(|(q, h)| choose(units, q, h, 64).subgroups), [[1, 1], [2, 1]]);
         assert!([(1, 1), (300, 16), (60_000, 24)].iter().all(|&(q, h)| choose(units, q, h, 64).repeats == [2, 1]));
         assert!(tiles.iter().any(|tile| tile.repeats == [1, 1]));
         for (index, tile) in tiles.iter().enumerate() {
