@@ -8,7 +8,7 @@
 //
 // One workgroup owns SUBGROUPS * ROWS queries of a head, one subgroup ROWS of them. Shared memory
 // stages TILE keys and values, and each subgroup's weights on their way from sums to factors.
-// Scores and sums are matrices of one type, whose components are in the same places.
+// Scores and sums are matrices of one type, so their components share a layout.
 // Source: FlashAttention-2 (Dao 2023).
 #version 460
 #pragma factor f16 bf16
@@ -24,9 +24,9 @@ layout(constant_id = 5) const uint REPEAT_M = 2; // matrices along a subgroup's 
 layout(constant_id = 6) const uint TILE = 64;    // keys in shared memory
 layout(constant_id = 7) const uint CHANNELS = 64; // of a head, padded to whole matrices
 layout(constant_id = 8) const bool POOLED = false;
-// Rescales for every tile. Lavapipe's subgroup barriers wait for the whole workgroup, so that its
-// subgroups must meet the same ones.
-layout(constant_id = 9) const bool ALWAYS = false;
+// Rescales for every tile. Lavapipe's subgroup barriers wait for the whole workgroup, so all of its
+// subgroups must execute them.
+layout(constant_id = 9) const bool ALWAYS_RESCALE = false;
 
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;

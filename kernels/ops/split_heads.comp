@@ -7,8 +7,8 @@
 // Out          [heads, out_rows, out_dim] ELEMENT, 0 from channel dim on;
 //              [heads, sequences, panels, dim, panel] if TRANSPOSE, the last panel padded
 //
-// One subgroup owns one head of one row of Out, a lane two channels at a time, a workgroup SUBGROUPS
-// heads. POOL averages POOL x POOL patches, cropped at the view's border.
+// One subgroup owns one head of one row of Out, one workgroup SUBGROUPS of them. A lane computes
+// two channels at a time. POOL averages POOL x POOL patches, cropped at the view's border.
 // Sources: Token Merging (Bolya et al. 2023); RoPE 2D (Su et al. 2021; DA3): half of the channels
 // rotate by y, half by x, in pairs a quarter head apart.
 #version 460

@@ -3,8 +3,7 @@
 // The includer declares `score`, `sums`, shared memory `staged` and, from `scratch` on, room for
 // ROWS rows of TILE factors, WEIGHT_STRIDE apart, and for the strip of shared/across_rows.
 //
-// Drivers keep matrices in registers if the innermost loop is over components, and loops around
-// barriers are short.
+// Loops around barriers stay short: long ones are not unrolled, which moves `sums` to local memory.
 #include "shared/across_rows.glsl"
 
 // A larger rise of a row's maximum rescales its sums; weights are at most exp(RISE).
@@ -58,7 +57,7 @@ void softmax() {
         }
         uint rises = 0;
         [[unroll]] for (uint i = 0; i < ELEMENTS; i++) rises += uint(row[i] - highest[m][i] > RISE);
-        if (ALWAYS || subgroupAny(rises > 0)) {
+        if (ALWAYS_RESCALE || subgroupAny(rises > 0)) {
             across_rows(false);
             float keep[ELEMENTS];
             [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {

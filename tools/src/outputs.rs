@@ -145,7 +145,7 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Writes a scene with its world for `render`. Returns notes on what the format cannot store.
+/// Writes a scene with its world for `render`. Returns notes on properties that the format drops.
 pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<Vec<String>> {
     scene.save_in(path, options, world)?;
     let (mut notes, file) = (Vec::new(), path.display());

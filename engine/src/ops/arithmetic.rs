@@ -104,7 +104,7 @@ impl Arithmetic {
         let quantized = Units::of(Element::I8, limits).filter(|_| int8);
         let dots = (int8 && limits.dot_products).then_some(Tiles::BY_RULE);
         let nearest = Units::of(Element::F16, limits);
-        // f16 weights leave the sums' registers as f16 sums.
+        // Attention converts f16 weights through f16 sums.
         let attention = matrices.filter(|_| element != Element::F16 || limits.matrices.f16_sums);
         let all = Self { element, linear: matrices, attention, quantized, dots, nearest, ..Self::EXACT };
         (limits.half_storage && all.has_integers() == int8).then_some(all)

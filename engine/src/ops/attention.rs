@@ -259,7 +259,7 @@ impl Attention {
             tile: tile.k,
             channels: self.channels() as u32,
             pooled: self.pool.is_some(),
-            always: rec.limits().cpu && tile.subgroups[0] > 1,
+            always_rescale: rec.limits().cpu && tile.subgroups[0] > 1,
             factor,
         };
         self.dispatch(rec, kernel, tile.sides(units)[0]);

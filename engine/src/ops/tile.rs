@@ -112,7 +112,7 @@ impl Tile {
             repeats: [queries.div_ceil(shape.m), 1],
             k: keys.next_multiple_of(shape.n.max(shape.k)),
         };
-        // Registers hold the queries.
+        // Queries stay in registers.
         let holds = |&&[queries, ..]: &&[u32; 3]| queries as usize * channels <= 32 * Self::TUNED_CHANNELS;
         let tiles = if limits.cpu { CPU } else { GPU }.iter().filter(holds).map(tile);
         // Mirrors kernels/ops/attention_matrix.comp.

@@ -18,9 +18,9 @@ use std::ops::Range;
 
 /// Numbers of a transform.
 pub const EXPOSURE_NUMBERS: usize = 12;
-/// Least steps before exposures are learned, and their part of all steps: the scene then resembles
-/// the photos.
-const WARM_UP: [usize; 2] = [10, 10];
+/// Least steps before exposures are learned, until the scene resembles the photos; else a tenth of
+/// all.
+const MIN_WARM_UP: usize = 10;
 /// Pixels per invocation of the backward pass.
 const RUN: usize = 8;
 /// Factor of half the squared distance from the identity in a photo's loss.
@@ -116,7 +116,7 @@ fn parts(
 
 /// Returns the step before which exposures may begin to be learned.
 pub(super) fn first_step(steps: usize) -> usize {
-    (steps / WARM_UP[1]).max(WARM_UP[0])
+    (steps / 10).max(MIN_WARM_UP)
 }
 
 /// Factors of a drawn picture's red, green and blue that fit its photo best.

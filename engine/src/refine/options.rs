@@ -34,13 +34,12 @@ impl RefineLength {
 /// The scene's colors are the photos' mean: where exposures are equal, held-out photos fit worse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Exposure {
-    /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
-    /// steps, at least 10.
+    /// If a factor per photo and color explains much of the error after the first steps.
     #[default]
     Auto,
     /// Never.
     Off,
-    /// From a tenth of the steps on, at least 10.
+    /// After the first steps.
     On,
 }
 

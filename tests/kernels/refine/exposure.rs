@@ -4,7 +4,7 @@ use crate::case::*;
 use zipsplat::{refine::Exposed, stages::FrameShape};
 use zipsplat_tests::reference::refine::exposure::{exposed, exposure_backward};
 
-/// Frames, targets of which some are saturated, transforms and gradient of `photos` photos.
+/// Frames, partly saturated targets, transforms and gradient of `photos` photos.
 fn problem(photos: usize, pixels: usize) -> [Vec<f32>; 4] {
     let frames: Vec<f32> = random(1, 3 * photos * pixels).iter().map(|x| 0.5 + 0.8 * x).collect();
     let targets = random(2, frames.len()).iter().map(|x| (0.5 + x).clamp(0.0, 1.0)).collect();

@@ -937,12 +937,11 @@ ZS_ENUM(zs_refine_target) {
 
 // Whether to learn a color transform per photo.
 ZS_ENUM(zs_exposure_mode) {
-    // If a factor per photo and color explains 20 % of the squared error after a tenth of the
-    // steps, at least 10.
+    // If a factor per photo and color explains much of the error after the first steps.
     ZS_EXPOSURE_AUTO = 0,
     // Never.
     ZS_EXPOSURE_OFF = 1,
-    // From a tenth of the steps on, at least 10.
+    // After the first steps.
     ZS_EXPOSURE_ON = 2,
 };
 

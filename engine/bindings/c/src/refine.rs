@@ -37,12 +37,11 @@ pub(super) type zs_refine_target_value = i32;
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_exposure_mode {
-    /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
-    /// steps, at least 10.
+    /// If a factor per photo and color explains much of the error after the first steps.
     ZS_EXPOSURE_AUTO = 0,
     /// Never.
     ZS_EXPOSURE_OFF = 1,
-    /// From a tenth of the steps on, at least 10.
+    /// After the first steps.
     ZS_EXPOSURE_ON = 2,
 }
 
