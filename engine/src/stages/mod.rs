@@ -9,7 +9,8 @@ pub mod lpips;
 pub mod render;
 
 pub use architecture::{
-    Architecture, BackboneArchitecture, CameraEncoderArchitecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS,
+    Architecture, BackboneArchitecture, CameraEncoderArchitecture, DEPTH_MODELS, DepthArchitecture, Family, RECIPES,
+    VARIANTS,
 };
 pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
 
@@ -20,13 +21,13 @@ use crate::{
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     types::Scene,
 };
-use backbone::{Da3, DepthBackbone};
+use backbone::{DepthBackbone, TokenBackbone};
 use fuse::Fuse;
 use gaussians::Gaussians;
 use heads::DepthHeads;
 
 pub struct Stages {
-    pub backbone: Da3,
+    pub backbone: TokenBackbone,
     pub fuse: Fuse,
     pub gaussians: Gaussians,
 }
@@ -34,7 +35,7 @@ pub struct Stages {
 impl Stages {
     /// Names parameters as the reference's `state_dict`.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        Self { backbone: Da3::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
+        Self { backbone: TokenBackbone::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
     }
 }
 

@@ -1,10 +1,27 @@
 use crate::ops::Ffn;
 use serde::{Deserialize, Serialize};
 
+/// Names, special tokens and positions of a backbone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Family {
+    /// Depth Anything 3: a camera token per view, from block `alt_start` on.
+    #[default]
+    Da3,
+}
+
+impl Family {
+    pub(super) fn is_da3(&self) -> bool {
+        *self == Self::Da3
+    }
+}
+
 /// Transformer sizes. Blocks count from 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackboneArchitecture {
+    #[serde(default, skip_serializing_if = "Family::is_da3")]
+    pub family: Family,
     /// Parameter name prefix.
     pub root: String,
     pub width: usize,

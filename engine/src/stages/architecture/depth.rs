@@ -1,4 +1,4 @@
-use super::{BackboneArchitecture, CameraEncoderArchitecture, MAX_DEPTH, MAX_SIZE};
+use super::{BackboneArchitecture, CameraEncoderArchitecture, Family, MAX_DEPTH, MAX_SIZE};
 use crate::{
     Error, Result,
     gpu::Limits,
@@ -43,6 +43,7 @@ impl DepthArchitecture {
             pose_hidden: width / 2,
         };
         let backbone = BackboneArchitecture {
+            family: Family::Da3,
             root: "model.backbone.pretrained".into(),
             width,
             depth,

@@ -1,7 +1,7 @@
 mod backbone;
 mod depth;
 
-pub use backbone::{BackboneArchitecture, CameraEncoderArchitecture};
+pub use backbone::{BackboneArchitecture, CameraEncoderArchitecture, Family};
 pub use depth::{DEPTH_MODELS, DepthArchitecture};
 
 use super::Stages;
@@ -30,6 +30,8 @@ const MAX_SH_DEGREE: usize = 3;
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
     pub name: String,
+    #[serde(default, skip_serializing_if = "Family::is_da3")]
+    pub family: Family,
     pub width: usize,
     pub depth: usize,
     pub heads: usize,
@@ -68,6 +70,7 @@ impl Architecture {
         let (heads, color_width) = ((width / 64).max(1), 128);
         Self {
             name: name.into(),
+            family: Family::Da3,
             width,
             depth,
             heads,
@@ -116,6 +119,7 @@ impl Architecture {
 
     pub fn backbone(&self) -> BackboneArchitecture {
         BackboneArchitecture {
+            family: self.family,
             root: "backbone.backbone".into(),
             width: self.width,
             depth: self.depth,

@@ -1,11 +1,9 @@
+use super::super::transformer::POSE_ENCODING;
 use crate::{
     gpu::{Element, Recorder, Tensor},
     ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
     stages::CameraEncoderArchitecture,
 };
-
-/// Translation 3, quaternion 4, vertical and horizontal field of view.
-pub(super) const POSE_ENCODING: usize = 9;
 
 pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
