@@ -9,8 +9,7 @@ pub mod lpips;
 pub mod render;
 
 pub use architecture::{
-    Architecture, BackboneArchitecture, CameraEncoderArchitecture, DEPTH_MODELS, DepthArchitecture, Family, RECIPES,
-    VARIANTS,
+    Architecture, BackboneArchitecture, CameraArchitecture, DEPTH_MODELS, DepthArchitecture, Family, RECIPES, VARIANTS,
 };
 pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
 
@@ -176,7 +175,8 @@ fn coeffs_of(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }
 
-fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear) -> Rows {
+/// `normalized` applies ImageNet's means and deviations.
+fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear, normalized: bool) -> Rows {
     let (view, patches) = (3 * grid.patch_size * grid.patch_size * grid.patches(), grid.patches());
     let out = Rows::scratch(rec, "embedded", grid.tokens(), linear.columns, Element::F32);
     let widths = [4 * view, linear.element().bytes() * patches * linear.inner, patches * out.row_bytes()];
@@ -190,6 +190,7 @@ fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Li
             width: (grid.columns * grid.patch_size) as u32,
             stride: rows.width as u32,
             patch: grid.patch_size as u32,
+            normalized,
             output: rows.element,
         };
         rec.dispatch_groups(kernel, rows.count);

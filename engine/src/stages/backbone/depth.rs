@@ -2,7 +2,7 @@ use super::transformer::{OutLayer, Transformer};
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
-    ops::{ParameterLayout, Parameters, Rows, place_columns},
+    ops::{ParameterLayout, Parameters, Rows, place_groups},
     stages::{BackboneArchitecture, DepthFeatures, Reference, ViewGrid},
     types::{Camera, relative_encoding},
 };
@@ -46,17 +46,13 @@ impl DepthBackbone {
         let halves = if self.alternates { 2 } else { 1 };
         let out = Rows::scratch(rec, "feature", grid.tokens(), halves * width, Element::F32);
         let last = (halves - 1) * width;
-        let mut copied = Vec::from_iter(self.alternates.then_some((local, 0)));
+        let group = [leading, patches, leading + patches];
+        if self.alternates {
+            place_groups(rec, local, group, out, 0);
+        }
         match self.transformer.final_norm {
             Some(norm) => norm.record(rec, global, None, out.columns(last, width), [leading, patches]),
-            None => copied.push((global, last)),
-        }
-        for (rows, column) in copied {
-            for view in 0..grid.views {
-                let first = view * (leading + patches) + leading;
-                let out = out.part(view * patches..(view + 1) * patches);
-                place_columns(rec, rows.part(first..first + patches), out, column);
-            }
+            None => place_groups(rec, global, group, out, last),
         }
         rec.observe(&format!("bb/feat{layer}"), out.tensor);
         out
@@ -78,11 +74,8 @@ impl DepthBackbone {
 /// First special tokens.
 fn camera_features(rec: &mut Recorder, OutLayer { local, global, leading }: OutLayer, grid: ViewGrid) -> Rows {
     let out = Rows::scratch(rec, "cameras", grid.views, 2 * global.width, Element::F32);
-    for view in 0..grid.views {
-        let token = view * (leading + grid.patches());
-        for (half, rows) in [local, global].into_iter().enumerate() {
-            place_columns(rec, rows.part(token..token + 1), out.part(view..view + 1), half * global.width);
-        }
+    for (half, rows) in [local, global].into_iter().enumerate() {
+        place_groups(rec, rows, [0, 1, leading + grid.patches()], out, half * global.width);
     }
     rec.observe("bb/cam_feat", out.tensor);
     out

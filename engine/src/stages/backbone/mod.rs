@@ -1,7 +1,8 @@
 //! Backbones: pixels to tokens, by a vision transformer over all views.
 //!
-//! Sources: ZipSplat, section 3.1; Depth Anything 3; DINOv2. A further backbone is a folder with
-//! its [`transformer::SpecialTokens`], and a line in [`Transformer::new`].
+//! Sources: ZipSplat, section 3.1; Depth Anything 3; DINOv2; VGGT, Wang et al. 2025. A
+//! further backbone is a folder with its [`transformer::SpecialTokens`], and a line in
+//! [`Transformer::new`].
 
 mod da3;
 mod depth;
@@ -9,11 +10,13 @@ mod features;
 mod positions;
 mod tokens;
 mod transformer;
+mod vggt;
 
 pub use da3::interpolate_positions;
 pub use depth::DepthBackbone;
 pub use positions::rotary_tables;
 pub use tokens::TokenBackbone;
+pub use vggt::interpolate_antialiased;
 
 use crate::{
     ops::ParameterLayout,
@@ -25,6 +28,7 @@ impl Transformer {
     pub fn new(p: &mut ParameterLayout, a: &BackboneArchitecture) -> Self {
         match a.family {
             Family::Da3 => da3::transformer(p, a),
+            Family::Vggt => vggt::transformer(p, a),
         }
     }
 }

@@ -4,7 +4,7 @@
 const BASE: f64 = 100.0;
 
 /// Sources and weights per target of a side's positions.
-type Taps = Vec<Vec<(usize, f64)>>;
+pub(super) type Taps = Vec<Vec<(usize, f64)>>;
 
 /// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]` by
 /// `taps(side, targets)`; the class token and the original grid are unchanged.

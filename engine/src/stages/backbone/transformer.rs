@@ -8,6 +8,9 @@ use crate::{
 /// Translation 3, quaternion 4, vertical and horizontal field of view.
 pub(super) const POSE_ENCODING: usize = 9;
 
+/// With padding.
+pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
+
 pub(super) struct Transformer {
     pub architecture: BackboneArchitecture,
     pub blocks: Vec<Block>,

@@ -4,7 +4,7 @@ mod camera_encoder;
 
 use super::{
     positions::{interpolate, rotary_tables},
-    transformer::{POSE_ENCODING, SpecialTokens, Transformer},
+    transformer::{POSE_ENCODING, POSE_VALUES, SpecialTokens, Transformer},
 };
 use crate::{
     Result,
@@ -13,7 +13,7 @@ use crate::{
     ops::{Block, Heads, HostParameter, Linear, ParameterLayout, Parameters, Rotary, Rows},
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
 };
-use camera_encoder::{CameraEncoder, POSE_VALUES};
+use camera_encoder::CameraEncoder;
 
 const EPS: f32 = 1e-6;
 
@@ -81,16 +81,20 @@ impl SpecialTokens for CameraTokens {
     fn first(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Rows {
         let (width, tokens) = (self.architecture.width, 1 + grid.patches());
         rec.scope("embed", |rec| {
-            let patches = embed_patches(rec, images, grid, &self.patch_embed);
+            let patches = embed_patches(rec, images, grid, &self.patch_embed, false);
             let out = Rows::scratch(rec, "tokens", grid.views * tokens, width, Element::F32);
             let kernel = kernels::Tokens {
                 patches: patches.tensor,
-                class_token: self.class_token,
+                special: self.class_token,
                 positions: self.named(inputs).positions,
                 out: out.tensor,
                 views: grid.views as u32,
                 tokens: tokens as u32,
                 width: width as u32,
+                leading: 1,
+                reference: 0,
+                others: 0,
+                placed: true,
             };
             rec.dispatch(kernel, out.values());
             out
