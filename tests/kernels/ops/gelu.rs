@@ -2,7 +2,6 @@
 
 use crate::case::*;
 use zipsplat::kernels::ops::Gelu;
-use zipsplat_tests::reference::ops::activation::silu;
 use zipsplat_tests::{reference::ops::activation, reference::ops::gelu::gelu_backward};
 
 #[test]
@@ -29,6 +28,6 @@ fn silu_is_the_references() {
     let (input, out) = (case.input(&source), case.output::<f32>(source.len()));
     let count = source.len() as u32;
     case.rec.dispatch(Gelu { source: input, gradient: input, out, count, backward: false, silu: true }, source.len());
-    let truth: Vec<f64> = source.iter().map(|&x| silu(x.into())).collect();
+    let truth: Vec<f64> = source.iter().map(|&x| activation::silu(x.into())).collect();
     assert_close("silu", &case.result::<f32>(out).unwrap(), &truth, Tolerance { max: 1e-5, rms: 1e-6 });
 }

@@ -7,6 +7,7 @@ use crate::depth::{Observed, architecture, compare, config, planar, tolerance};
 use std::collections::BTreeMap;
 use zipsplat::cameras::{camera_to_world, decoded_camera};
 use zipsplat::stages::backbone::interpolate_antialiased;
+use zipsplat::types::{Fitting, bounded_views};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::backbone::{patchify::Images, positions};
@@ -213,4 +214,26 @@ fn positions_and_encodings() {
     let within = Tolerance { max: 1e-6, rms: 3e-7 };
     assert_close("extrinsics", &extrinsics.collect::<Vec<_>>(), &golden.f64("pose/extrinsics"), within);
     assert_close("intrinsics", &lenses.collect::<Vec<_>>(), &golden.f64("pose/intrinsics"), within);
+}
+
+/// Pixels and sums of photos of one size; neither transparency nor padding.
+#[test]
+fn photos_of_vggt_are_pillows() {
+    let Some(golden) = Golden::open("vggt_pre.safetensors") else { return };
+    let photos = golden.stems("@sub").into_iter().filter_map(|key| Some(key.strip_prefix("crop/")?.to_owned()));
+    let mut compared = 0;
+    for name in photos {
+        let Some(path) = golden::find(&format!("pre_{name}.png")).filter(|_| !name.contains('+')) else { continue };
+        let photo = Image::open(path).unwrap();
+        let views = bounded_views(1, |_| Ok(&photo), Fitting::Width, None).unwrap();
+        let (found, key) = (&views[0].image, |part: &str| format!("crop/{name}@{part}"));
+        let size = [1, i64::from(found.height), i64::from(found.width), 3];
+        assert_eq!(golden.i64(&key("size")), size, "{name}");
+        assert_eq!(golden.i64(&key("sum")), [found.rgb.iter().map(|&x| i64::from(x)).sum::<i64>()], "{name}");
+        let rows = found.rgb.chunks(3 * found.width as usize).step_by(11);
+        let kept: Vec<u8> = rows.flat_map(|row| row.chunks(3).step_by(11).flatten()).copied().collect();
+        assert_same(&name, &kept, &golden.u8(&key("sub")));
+        compared += 1;
+    }
+    assert!(compared >= 2, "{compared}");
 }

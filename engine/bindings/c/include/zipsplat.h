@@ -795,7 +795,7 @@ ZS_ENUM(zs_camera_source) {
     ZS_CAMERA_SOURCE_RAYS = 1,
 };
 
-// A Depth Anything 3 network on a device.
+// A Depth Anything 3 or VGGT network on a device.
 typedef struct zs_depth_model zs_depth_model;
 
 // Depth and cameras of photos.
@@ -884,7 +884,7 @@ typedef struct zs_depth_map {
     const struct zs_camera *image_camera;
 } zs_depth_map;
 
-// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
+// Loads Depth Anything 3 or VGGT: a released model.safetensors at `path`, or random weights for
 // "seeded:NAME", such as "seeded:da3-small".
 zs_status zs_depth_model_load(const struct zs_device *device,
                               const char *path,

@@ -4,6 +4,7 @@ use crate::{
     gpu::Limits,
     ops::{Arithmetic, Ffn, ParameterLayout},
     stages::DepthStages,
+    types::Fitting,
 };
 use serde::{Deserialize, Serialize};
 
@@ -101,6 +102,10 @@ impl DepthArchitecture {
             "vggt-1b" => Self::vggt(name, 1024, [24, 24], [4, 11, 17, 23], large),
             _ => return Err(Error::argument("depth network", name, format!("one of {}", DEPTH_MODELS.join(", ")))),
         })
+    }
+
+    pub fn fitting(&self) -> Fitting {
+        if self.backbone.family.is_da3() { Fitting::LongestSide } else { Fitting::Width }
     }
 
     /// Whether views are joint, with cameras, or separate, with sky.

@@ -78,7 +78,7 @@ def _stacked(views: Sequence[Any]) -> Optional[npt.NDArray[np.float32]]:
 
 
 class DepthModel(Owner):
-    """A Depth Anything 3 network with its weights on a device. Threads can share it.
+    """A Depth Anything 3 or VGGT network with its weights on a device. Threads can share it.
 
     Attributes:
         device: Device of the network.
