@@ -3,7 +3,8 @@
 // Images [views, 3, height, width] f32, RGB in 0..1
 // Out    [views * patches, stride] OUTPUT: 3 * patch * patch values, channel-major, then zeros
 //
-// NORMALIZED applies ImageNet's means and deviations. One workgroup owns one row: uniform patch coordinates, divisions by constants.
+// NORMALIZED applies ImageNet's means and deviations. One workgroup owns one row: uniform patch
+// coordinates, divisions by constants.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require

@@ -7,8 +7,8 @@
 // Residual [pixels, columns] f32; read if ADD
 // Out      [pixels, columns] f32, pixels from `first` on
 //
-// RECTIFIED clamps source values to 0 and above, ADD_RECTIFIED the residual. One subgroup owns ROWS pixels and 4 columns a
-// lane. Addresses of Source are uniform, as in ops/linear.
+// RECTIFIED clamps source values to 0 and above, ADD_RECTIFIED the residual. One subgroup owns ROWS
+// pixels and 4 columns a lane. Addresses of Source are uniform, as in ops/linear.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require

@@ -167,7 +167,7 @@ pub struct DepthMap {
     pub encoding: Option<[f32; 9]>,
     /// `[height, width, GAUSSIAN_VALUES]`, see [`pixel_gaussians`](super::pixel_gaussians).
     pub gaussians: Option<Vec<f32>>,
-    /// `[height, width, 4]`, with a point head: point in the world of the reference view, confidence.
+    /// `[height, width, 4]`, with a point head: point in the reference view's world, confidence.
     pub points: Option<Vec<[f32; 4]>>,
 }
 

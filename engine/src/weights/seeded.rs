@@ -25,26 +25,19 @@ const SHRUNK: [&str; 15] = [
     "cam_enc.token_norm.",
 ];
 
-/// [`SHRUNK`] of VGGT.
-const VGGT_SHRUNK: [&str; 11] = [
-    "cls_token",
-    "camera_token",
-    "register_token",
-    "pos_embed",
-    "patch_embed.proj.",
-    "patch_embed.norm.",
-    ".attn.qkv.",
-    ".attn.proj.",
-    ".mlp.fc2.",
-    "camera_head.token_norm.",
-    "poseLN_modulation.",
-];
+/// Further ones of VGGT, whose small encodings stay.
+const VGGT_SHRUNK: [&str; 5] =
+    ["register_token", "patch_embed.norm.", ".attn.proj.", "camera_head.token_norm.", "poseLN_modulation."];
 
 pub(super) fn fill(key: &str, name: &str, shape: &[usize], out: &mut [f32]) {
     let seed = fnv1a64(&format!("{key}/{name}"));
-    let of_vggt = ["aggregator.", "camera_head."].iter().any(|root| name.starts_with(root));
-    let shrunk = if of_vggt { &VGGT_SHRUNK[..] } else { &SHRUNK };
-    let shrink = key.ends_with("_eps") && shrunk.iter().any(|part| name.contains(part));
+    let any = |parts: &[&str]| parts.iter().any(|part| name.contains(part));
+    let shrink = match name.split('.').next() {
+        Some("camera_head") if name.contains("pose_branch") => false,
+        Some("aggregator" | "camera_head") => any(&SHRUNK) || any(&VGGT_SHRUNK),
+        _ => any(&SHRUNK),
+    };
+    let shrink = shrink && key.ends_with("_eps");
     let scale = if shrink { 1.0 / 64.0 } else { 1.0 };
     let values: [f32; 256] = std::array::from_fn(|byte| scale * value(byte as u8, name, shape));
     out.par_iter_mut()

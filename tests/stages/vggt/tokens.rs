@@ -1,5 +1,6 @@
 //! ZipSplat's decoder on VGGT, which has no released weights: against the f64 reference.
 
+use crate::depth_reference::pictures;
 use zipsplat::{
     gpu::Profile,
     reconstruct::{Network, Shape},
@@ -43,22 +44,18 @@ fn reference() -> Reference {
     Reference { architecture: sizes, weights: checkpoint.parameters().iter().map(parameter).collect() }
 }
 
-fn pictures(count: u32, [width, height]: [u32; 2]) -> (Vec<Image>, Images) {
-    let byte = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
-    let picture = |v: u32| (0..3 * width * height).map(|i| byte(i + (v << 18) + 1)).collect();
-    let images: Vec<Image> = (0..count).map(|v| Image::new(width, height, picture(v)).unwrap()).collect();
+fn planes(images: &[Image]) -> Images {
     let planes = images.iter().flat_map(|image| (0..3).flat_map(|c| image.rgb[c..].iter().step_by(3).copied()));
-    let shape = [count as usize, 3, height as usize, width as usize];
-    let planes = Images::from_u8(&planes.collect::<Vec<_>>(), &shape);
-    (images, planes)
+    let shape = [images.len(), 3, images[0].height as usize, images[0].width as usize];
+    Images::from_u8(&planes.collect::<Vec<_>>(), &shape)
 }
 
 #[test]
 fn the_decoder_on_vggt_is_the_reference() {
-    let (images, planes) = pictures(3, [70, 42]);
+    let images = pictures(3, [70, 42]);
     let (reference, chosen) = (reference(), vec![44, 0, 12, 30, 7]);
     for side in [1, 2] {
-        let tokens = forward::tokens(&reference, &planes, None, side);
+        let tokens = forward::tokens(&reference, &planes(&images), None, side);
         let truth = forward::gaussians(&reference, &tokens, &chosen);
         for arithmetic in [Arithmetic::EXACT].into_iter().chain(fast_arithmetics()) {
             let (model, selection) = (model(arithmetic), TokenSelection::Given(chosen.clone()));
@@ -82,7 +79,7 @@ fn the_decoder_on_vggt_is_the_reference() {
 
 #[test]
 fn known_cameras_are_refused() {
-    let (images, _) = pictures(2, [42, 28]);
+    let images = pictures(2, [42, 28]);
     let cameras = Some(vec![camera(42, 28); 2]);
     let request = ReconstructOptions { cameras, ..ReconstructOptions::default() };
     assert_refused(model(Arithmetic::EXACT).shape(&images, &request), &["cameras", "vggt", "knows no cameras"]);

@@ -70,7 +70,7 @@ impl DepthArchitecture {
         Self { name: name.into(), backbone, features, channels, gaussians, points, camera_head }
     }
 
-    /// Returns VGGT with `embedding` blocks and pairs of blocks, of which `out_pairs` give features.
+    /// Returns VGGT with `embedding` blocks, then pairs of blocks; `out_pairs` give features.
     pub fn vggt(
         name: &str,
         width: usize,

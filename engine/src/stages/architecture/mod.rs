@@ -18,7 +18,7 @@ pub const VARIANTS: [&str; 4] = ["vits", "vitb", "vitl", "vitg"];
 /// The reference's smaller recipes.
 pub const RECIPES: [&str; 3] = ["da3s", "da3b", "da3l"];
 
-/// VGGT with the paper's decoder, which nobody has released.
+/// The paper's decoder on VGGT, without released weights.
 pub const VGGT: &str = "vggt";
 
 /// Blocks of VGGT with `embedding` blocks before its pairs: all, and those that end `pairs`.
@@ -105,8 +105,8 @@ impl Architecture {
         }
     }
 
-    /// Returns the paper's decoder on VGGT with `embedding` blocks and pairs of blocks, of which
-    /// `out_pairs` give features. Cameras are unknown.
+    /// Returns the paper's decoder on VGGT with `embedding` blocks, then pairs of blocks;
+    /// `out_pairs` give features. Known cameras are no input.
     pub fn vggt(name: &str, width: usize, [embedding, pairs]: [usize; 2], out_pairs: &[usize]) -> Self {
         let (depth, out_layers) = vggt_blocks([embedding, pairs], out_pairs);
         let like = Self::new(name, width, depth, embedding, &out_layers);

@@ -1,6 +1,7 @@
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
+    kernels::backbone::Tokens,
     ops::{Block, Norm, Parameters, Pool, Rotary, Rows, Sequences},
     stages::{BackboneArchitecture, Reference, ViewGrid},
 };
@@ -55,6 +56,35 @@ pub(super) trait SpecialTokens: Send + Sync {
         poses: Option<&[[f32; POSE_ENCODING]]>,
         parameters: &Parameters,
     ) -> Result<()>;
+}
+
+/// Places `special` tokens `[kinds, leading, width]` ahead of the patches of each view, and adds
+/// `positions`. The first kind is for the `reference` view, the last for others.
+pub(super) fn place_tokens(
+    rec: &mut Recorder,
+    patches: Rows,
+    (special, leading): (Tensor, usize),
+    [kinds, reference]: [usize; 2],
+    positions: Option<Tensor>,
+    grid: ViewGrid,
+) -> Rows {
+    let tokens = leading + grid.patches();
+    let out = Rows::scratch(rec, "tokens", grid.views * tokens, patches.width, Element::F32);
+    let kernel = Tokens {
+        patches: patches.tensor,
+        special,
+        positions: positions.unwrap_or(special),
+        out: out.tensor,
+        views: grid.views as u32,
+        tokens: tokens as u32,
+        width: patches.width as u32,
+        leading: leading as u32,
+        reference: reference as u32,
+        others: kinds as u32 - 1,
+        placed: positions.is_some(),
+    };
+    rec.dispatch(kernel, out.values());
+    out
 }
 
 /// Tokens at an out layer, special tokens first.

@@ -25,8 +25,8 @@ pub enum CameraTensors {
     },
     /// VGGT.
     Iterated {
-        /// `[views, 9]`: world-to-camera translation, unnormalized quaternion xyzw, fields of view as
-        /// above.
+        /// `[views, 9]`: world-to-camera translation, unnormalized quaternion xyzw, fields of view
+        /// as above.
         encodings: Tensor,
         /// `[views, 12]`: input of the first pass, `empty` and padding.
         initial: Tensor,

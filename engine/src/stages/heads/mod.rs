@@ -87,7 +87,8 @@ impl DepthHeads {
 }
 
 impl HeadTensors {
-    /// Writes positions, initial poses and, for Gaussians, normalized `images` `[views, 3, pixels]`.
+    /// Writes positions, initial poses and, for Gaussians, normalized `images` `[views, 3,
+    /// pixels]`.
     pub fn write(&self, run: &mut Run, images: &[f32], parameters: &Parameters) -> Result<()> {
         if let Some(CameraTensors::Iterated { initial, empty, .. }) = self.cameras {
             let padded = |i: usize| parameters[empty].get(i % PoseHead::PADDED).copied().unwrap_or(0.0);

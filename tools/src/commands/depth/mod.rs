@@ -54,8 +54,8 @@ pub struct Depth {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Known cameras of all photos: input of Depth Anything 3's multi-view networks; with its others
-    /// they place the points
+    /// Known cameras of all photos: input of Depth Anything 3's multi-view networks; with its
+    /// others they place the points
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     #[command(flatten)]
@@ -67,7 +67,7 @@ pub struct Depth {
     /// Photo whose camera is the world, counted from 0 [default: the network's choice]
     #[arg(long, value_name = "N")]
     reference_view: Option<usize>,
-    /// Longer side of the photos for Depth Anything 3, width for VGGT, in pixels [default: 504, 518]
+    /// Longer side of the photos in pixels, for VGGT their width [default: 504, for VGGT 518]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(14..=8192))]
     input_size: Option<u32>,
     /// Largest number of points in points.ply

@@ -43,8 +43,8 @@ const TARGETS: usize = 8;
 /// unreliable scores: flat, a photo without texture, which is not aligned; bound, a camera at its
 /// movement limit; color, a picture no better than one color.
 ///
-/// With weights of Depth Anything 3 or VGGT the scene is that of `reconstruct`, from whole photos. With
-/// --pose-free, estimated cameras map it to the known world.
+/// With weights of Depth Anything 3 or VGGT the scene is that of `reconstruct`, from whole photos.
+/// With --pose-free, estimated cameras map it to the known world.
 ///
 /// Two pictures, or equally named pictures in two folders, are compared by PSNR, SSIM (as in
 /// scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.

@@ -54,8 +54,8 @@ const REFINEMENT: &str = "Refinement";
 /// Gaussians. The scene's world is the first photo's camera (x right, y down, z forward), see
 /// --world.
 ///
-/// With weights of Depth Anything 3 or VGGT, each confident pixel becomes a Gaussian at its depth, and the
-/// network also estimates the cameras. --input-size is then the longer side, and
+/// With weights of Depth Anything 3 or VGGT, each confident pixel becomes a Gaussian at its depth,
+/// and the network also estimates the cameras. --input-size is then the longer side, and
 /// --max-gaussians-per-token limits the pixels of a patch.
 #[derive(Args)]
 #[command(mut_args(adapted), after_help = format!("Examples:
@@ -95,9 +95,9 @@ pub struct Reconstruct {
     cameras: Option<PathBuf>,
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
-    /// Write the cameras, estimated or optimized, as transforms.json. --cameras colmap, da3 and vggt
-    /// also write points and a log to its folder. Without --cameras, estimates them from the scene,
-    /// in its world
+    /// Write the cameras, estimated or optimized, as transforms.json. --cameras colmap, da3 and
+    /// vggt also write points and a log to its folder. Without --cameras, estimates them from the
+    /// scene, in its world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length of the network's unit in the cameras' unit; the scene keeps the cameras' unit

@@ -1,13 +1,13 @@
 use super::{
     super::{
         positions::{interpolate, rotary_tables},
-        transformer::{POSE_ENCODING, POSE_VALUES, SpecialTokens, Transformer},
+        transformer::{POSE_ENCODING, POSE_VALUES, SpecialTokens, Transformer, place_tokens},
     },
     camera_encoder::CameraEncoder,
 };
 use crate::{
     Result,
-    gpu::{Element, Recorder, Run, Tensor},
+    gpu::{Recorder, Run, Tensor},
     kernels::backbone as kernels,
     ops::{Block, Heads, HostParameter, Linear, ParameterLayout, Parameters, Rotary, Rows},
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
@@ -77,25 +77,9 @@ impl SpecialTokens for CameraTokens {
     }
 
     fn first(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Rows {
-        let (width, tokens) = (self.architecture.width, 1 + grid.patches());
         rec.scope("embed", |rec| {
             let patches = embed_patches(rec, images, grid, &self.patch_embed, false);
-            let out = Rows::scratch(rec, "tokens", grid.views * tokens, width, Element::F32);
-            let kernel = kernels::Tokens {
-                patches: patches.tensor,
-                special: self.class_token,
-                positions: self.named(inputs).positions,
-                out: out.tensor,
-                views: grid.views as u32,
-                tokens: tokens as u32,
-                width: width as u32,
-                leading: 1,
-                reference: 0,
-                others: 0,
-                placed: true,
-            };
-            rec.dispatch(kernel, out.values());
-            out
+            place_tokens(rec, patches, (self.class_token, 1), [1, 0], Some(self.named(inputs).positions), grid)
         })
     }
 

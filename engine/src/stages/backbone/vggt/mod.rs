@@ -1,14 +1,13 @@
-//! VGGT: DINOv2 with registers, then pairs of blocks within and across views, with a camera token and
-//! four registers per view.
+//! VGGT: DINOv2 with registers, then pairs of blocks within and across views, with a camera token
+//! and four registers per view.
 
 use super::{
     positions::{Taps, interpolate, rotary_table},
-    transformer::{POSE_ENCODING, SpecialTokens, Transformer},
+    transformer::{POSE_ENCODING, SpecialTokens, Transformer, place_tokens},
 };
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
-    kernels::backbone::Tokens,
     ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Parameters, Rotary, Rows},
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
 };
@@ -78,37 +77,6 @@ impl Inputs {
     }
 }
 
-impl Registers {
-    /// Places special tokens of `kinds` ahead of patches.
-    fn placed(
-        &self,
-        rec: &mut Recorder,
-        patches: Rows,
-        special: Tensor,
-        (reference, kinds): (usize, u32),
-        positions: Option<Tensor>,
-        grid: ViewGrid,
-    ) -> Rows {
-        let tokens = LEADING + grid.patches();
-        let out = Rows::scratch(rec, "tokens", grid.views * tokens, patches.width, Element::F32);
-        let kernel = Tokens {
-            patches: patches.tensor,
-            special,
-            positions: positions.unwrap_or(special),
-            out: out.tensor,
-            views: grid.views as u32,
-            tokens: tokens as u32,
-            width: patches.width as u32,
-            leading: LEADING as u32,
-            reference: reference as u32,
-            others: kinds - 1,
-            placed: positions.is_some(),
-        };
-        rec.dispatch(kernel, out.values());
-        out
-    }
-}
-
 impl SpecialTokens for Registers {
     fn leading(&self) -> usize {
         LEADING
@@ -129,7 +97,7 @@ impl SpecialTokens for Registers {
         let Inputs { positions, embedding, .. } = Inputs::of(inputs);
         rec.scope("embed", |rec| {
             let patches = embed_patches(rec, images, grid, &self.patch_embed, true);
-            self.placed(rec, patches, embedding, (0, 1), Some(positions), grid)
+            place_tokens(rec, patches, (embedding, LEADING), [1, 0], Some(positions), grid)
         })
     }
 
@@ -146,7 +114,7 @@ impl SpecialTokens for Registers {
         self.norm.record(rec, x, None, patches, [LEADING, grid.patches()]);
         rec.observe("bb/embedded", patches.tensor);
         let reference = if let Reference::View(view) = reference { view } else { 0 };
-        self.placed(rec, patches, Inputs::of(inputs).joint, (reference, 2), None, grid)
+        place_tokens(rec, patches, (Inputs::of(inputs).joint, LEADING), [2, reference], None, grid)
     }
 
     /// Within and across views.
