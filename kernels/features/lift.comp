@@ -67,8 +67,9 @@ void main() {
     uint i = tile_offsets[list], end = tile_offsets[list + 1];
     for (; i < end && subgroupAny(open > 0); i += BATCH) {
         uint count = min(BATCH, end - i);
+        uint batch[BATCH]; // slots; found once, since lavapipe loses buffers between loops
         for (uint b = 0; b < BATCH; b++) {
-            uint pair = pair_indices[i + min(b, count - 1)];
+            uint pair = pair_indices[min(i + b, end - 1)];
             Falloff splat = falloff(xy_opacities[pair], conics[pair]);
             float total = 0;
             for (uint run = 0; run < RUNS; run++) {
@@ -84,8 +85,8 @@ void main() {
                 total += weight;
             }
             total = subgroupAdd(total);
-            uint slot = slot_of(pair);
-            if (b < count && slot < capacity && gl_WorkGroupID.z == 0 && subgroupElect()) totals[slot] = total;
+            batch[b] = b < count ? slot_of(pair) : capacity;
+            if (batch[b] < capacity && gl_WorkGroupID.z == 0 && subgroupElect()) totals[batch[b]] = total;
         }
         barrier();
         vec4 sum[BATCH];
@@ -99,17 +100,17 @@ void main() {
                 sum[b + 4] += second[b] * value;
             }
         }
-        for (uint b = 0; b < count; b++) {
-            uint slot = slot_of(pair_indices[i + b]);
-            if (owns && slot < capacity) sums[slot * vectors + vector] = sum[b];
+        for (uint b = 0; b < BATCH; b++) {
+            if (owns && batch[b] < capacity) sums[batch[b] * vectors + vector] = sum[b];
         }
         barrier();
     }
     // The remaining splats are hidden.
-    for (; i < end; i++) {
+    const uint first = gl_WorkGroupID.z * LANES;
+    for (i += gl_LocalInvocationID.x; i < end; i += LANES) {
         uint slot = slot_of(pair_indices[i]);
         if (slot >= capacity) continue;
-        if (owns) sums[slot * vectors + vector] = vec4(0);
+        for (uint v = first; v < min(first + LANES, vectors); v++) sums[slot * vectors + v] = vec4(0);
         if (gl_WorkGroupID.z == 0) totals[slot] = 0;
     }
 }

@@ -5,6 +5,8 @@
 //! as pictures of as many channels. Tokens' features need memory for one row per token instead of
 //! one per Gaussian.
 
+mod selection;
+
 use crate::{
     Error, Result,
     gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
