@@ -5,7 +5,10 @@ use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of an operation with another name; variants append a word to its name.
-const STEPS: [(&str, &str); 12] = [
+const STEPS: [(&str, &str); 15] = [
+    ("features/draw", "features"),
+    ("features/gather", "features"),
+    ("features/lift", "features"),
     ("loss/dssim", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
