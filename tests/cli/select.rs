@@ -80,7 +80,7 @@ fn invalid_selections_and_values_name_themselves() {
             3,
             &["--at", "no Gaussian at 1,1"],
         ),
-        (format!("select @/other.ply --masks @/masks --features @/f.safetensors {select}"), 4, &["features of scene"]),
+        (format!("select @/other.ply --masks @/masks --features @/f.safetensors {select}"), 3, &["features of scene"]),
     ] {
         folder.run(&line).fails(code, words);
         assert!(!folder.path("out.ply").exists(), "{line}");
