@@ -5,8 +5,9 @@ use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of an operation with another name; variants append a word to its name.
-const STEPS: [(&str, &str); 12] = [
+const STEPS: [(&str, &str); 13] = [
     ("loss/dssim", "loss/gradient"),
+    ("loss/mask", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
     ("loss/value", "loss/gradient"),

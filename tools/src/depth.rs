@@ -20,7 +20,7 @@ use zipsplat::{
     ops::Precision,
     reconstruct::Ratio,
     types::{
-        Camera, DEFAULT_BOUND, Image, Pose, Scene, bounded_views,
+        Camera, DEFAULT_BOUND, Image, Masks, Pose, Scene, bounded_views,
         poses::{CaptureView, read_cloud},
         preprocess::View,
     },
@@ -53,6 +53,7 @@ pub struct PredictorOptions<'a> {
     pub checkpoint: &'a DepthCheckpoint,
     /// Longer side of the network's input [default: Depth Anything 3's own].
     pub side: Option<u32>,
+    pub masks: Option<Masks>,
     pub cameras: CamerasFrom,
     pub arithmetic: &'a ArithmeticOption,
     pub request: DepthOptions,
@@ -63,6 +64,7 @@ impl Quality {
         PredictorOptions {
             checkpoint,
             side: self.side(),
+            masks: None,
             cameras: CamerasFrom::default(),
             arithmetic: &self.arithmetic,
             request: DepthOptions {
@@ -127,8 +129,8 @@ pub struct PreparedPhotos {
 impl PredictorOptions<'_> {
     /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&CaptureView]) -> Result<PredictedViews> {
-        let (prepared, reading) =
-            session.stage("load photos", |stage| PreparedPhotos::read(self.side, photos, known, stage))?;
+        let (prepared, reading) = session
+            .stage("load photos", |stage| PreparedPhotos::read(self.side, photos, known, self.masks.as_ref(), stage))?;
         let device = session.device()?;
         let predictor = self.open(session, &device)?;
         let (mut predicted, _) = session.stage("depth", |stage| predictor.predict(prepared, stage))?;
@@ -138,7 +140,7 @@ impl PredictorOptions<'_> {
     }
 
     pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<DepthPredictor> {
-        let Self { checkpoint, side, cameras, arithmetic, request } = self;
+        let Self { checkpoint, side, cameras, arithmetic, request, .. } = self;
         let (precision, arithmetic) = arithmetic.choose(session, device)?;
         let load =
             |stage: &Stage<'_>| DepthModel::from_checkpoint(device, checkpoint, arithmetic, |done| stage.at(done));
@@ -148,8 +150,14 @@ impl PredictorOptions<'_> {
 }
 
 impl PreparedPhotos {
-    pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<Self> {
-        let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
+    pub fn read(
+        side: Option<u32>,
+        photos: &[PathBuf],
+        known: &[&CaptureView],
+        masks: Option<&Masks>,
+        stage: &Stage<'_>,
+    ) -> Result<Self> {
+        let read = photos::read(photos, known, masks, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(read.len(), |i| Ok(&read[i]), side.unwrap_or(DEFAULT_BOUND))?;
         let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
         Ok(Self { photos: photos.to_vec(), views, known_cameras })
@@ -163,8 +171,14 @@ impl PreparedPhotos {
 }
 
 impl DepthPredictor {
-    pub fn prepare(&self, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<PreparedPhotos> {
-        PreparedPhotos::read(self.side, photos, known, stage)
+    pub fn prepare(
+        &self,
+        photos: &[PathBuf],
+        known: &[&CaptureView],
+        masks: Option<&Masks>,
+        stage: &Stage<'_>,
+    ) -> Result<PreparedPhotos> {
+        PreparedPhotos::read(self.side, photos, known, masks, stage)
     }
 
     pub fn keep(&mut self, ratio: Ratio) {

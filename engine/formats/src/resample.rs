@@ -26,7 +26,7 @@ pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     } else {
         horizontal.unwrap_or_else(|| image.rgb.clone())
     };
-    Image::new(width, height, rgb)
+    Ok(Image { width, height, rgb, mask: image.resized_mask([width, height]) })
 }
 
 /// Inputs of one output: `weights[i]` applies to input `first + i`.
@@ -96,6 +96,6 @@ fn lanczos3(x: f64) -> f64 {
     if (-3.0..3.0).contains(&x) { sinc(x) * sinc(x / 3.0) } else { 0.0 }
 }
 
-fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {
+pub(super) fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {
     (low + 0.5).max(0.0) as usize..((high + 0.5) as usize).min(inputs as usize)
 }

@@ -1,4 +1,7 @@
-use super::{Model, Patches, ReconstructOptions, Reconstruction, Shape, network::FeatureTensors, write_choice};
+use super::{
+    Model, Patches, ReconstructOptions, Reconstruction, Shape, network::FeatureTensors, patches::masked_patches,
+    write_choice,
+};
 use crate::{
     Result,
     gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
@@ -16,6 +19,7 @@ pub struct Features {
     tensors: FeatureTensors,
     memory: Arc<Resident>,
     scene_scale: f64,
+    masked: Option<Vec<bool>>,
     /// Time per stage.
     pub times: StageTimes,
 }
@@ -86,7 +90,8 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
         self.write_photos(&mut run, &inputs, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        Ok(Features { shape, tensors, memory, scene_scale: options.scale(), times })
+        let masked = masked_patches(shape.grid, images);
+        Ok(Features { shape, tensors, memory, scene_scale: options.scale(), masked, times })
     }
 
     /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection
@@ -111,10 +116,14 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &options)?;
         let times = run.execute_with(progress)?;
+        let mut patches = Patches::of(&run, choice, shape, &options)?;
+        let unmasked = patches.drop_masked(features.masked.as_deref());
+        scene.show_tokens(unmasked.as_deref(), shape.tokens)?;
         let gaussians = scene.scene(degree, near(features.scene_scale), false);
         Ok(Reconstruction {
             tokens: shape.tokens,
-            patches: Patches::of(&run, choice, shape, &options)?,
+            patches,
+            unmasked,
             times,
             outline: Profile::outline(run.plan()),
             skipped_passes: shape.skipped_passes(),

@@ -130,7 +130,7 @@ impl Gains {
     fn new(gaussians: &mut Gaussians, view: &View) -> Result<Self> {
         let (drawn, _) = gaussians.draw(view)?;
         let mut sums = [[0.0; 3]; 3];
-        for (i, (drawn, value)) in drawn.iter().zip(view.values()).enumerate() {
+        for (i, (drawn, value)) in view.image.kept(&drawn).iter().zip(view.values()).enumerate() {
             let [drawn, value] = [drawn.clamp(0.0, 1.0), value].map(f64::from);
             let products = [drawn * drawn, drawn * value, value * value];
             sums[i % 3].iter_mut().zip(products).for_each(|(sum, product)| *sum += product);

@@ -64,7 +64,8 @@ pub(super) struct Gaussians {
     cleared: bool,
     lpips: Option<LpipsWeights>,
     steps: u32,
-    plans: PlanCache<(), PhotoPlan>,
+    /// By size and whether photos have masks.
+    plans: PlanCache<bool, PhotoPlan>,
     batch_size: usize,
 }
 
@@ -220,7 +221,8 @@ impl Gaussians {
     fn plan(&mut self, views: &[&View], backward: bool) -> Result<&mut PhotoPlan> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
-        self.plans.get(PlanKey { shape, backward, options: () }, |capacity| {
+        let masked = backward && views.iter().any(|view| view.image.mask.is_some());
+        self.plans.get(PlanKey { shape, backward, options: masked }, |capacity| {
             let mut rec = Recorder::new(self.arena.device().limits());
             let lpips = self.lpips.as_ref().map(|weights| &weights.lpips);
             let training = backward.then_some(Training {
@@ -228,6 +230,7 @@ impl Gaussians {
                 gradients: &self.gradients,
                 lpips,
                 exposure: self.learns_exposures,
+                masked,
             });
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, &self.drawing, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());

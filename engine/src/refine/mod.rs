@@ -111,6 +111,8 @@ pub struct RefineResult {
     pub holdout_psnr: Vec<(usize, f64)>,
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
+    /// Fraction of the pixels that masks ignore in those photos.
+    pub masked_fraction: f64,
     /// Indices of the held-out photos.
     pub holdout_views: Vec<usize>,
     /// Steps with a new size, and the largest photo's width and height from then on.

@@ -5,7 +5,7 @@ use super::{
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
-    photos::{PhotoCache, Rgb},
+    photos::PhotoCache,
     planned::PhotoLoss,
     schedule::{Schedule, phases, rate_of_error},
     views::{Order, View, split},
@@ -13,11 +13,12 @@ use super::{
 use crate::{
     Error, Result,
     gpu::Profile,
-    types::{Camera, ColorTransform, Scene},
+    types::{Camera, ColorTransform, Image, Scene},
 };
 use std::{
     collections::VecDeque,
     ops::ControlFlow,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -146,6 +147,9 @@ impl<'a> Refinement<'a> {
         {
             (self.kept, after) = (given, before);
         }
+        let pixels = self.measured.iter().flat_map(|view| view.image.mask_or_all().into_owned());
+        let (ignored, count) =
+            pixels.fold((0, 0), |(ignored, count), kept| (ignored + usize::from(kept == 0), count + 1));
         let Self { losses, kept, holdout_psnr, holdout, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras, exposures } = kept;
         let exposures = exposures.map(|exposures| (0..cameras.len()).map(|photo| exposures.get(photo)).collect());
@@ -160,6 +164,7 @@ impl<'a> Refinement<'a> {
             best_step,
             holdout_psnr,
             training_psnr,
+            masked_fraction: ignored as f64 / f64::from(count),
             holdout_views: holdout,
             sizes,
             took,
@@ -262,7 +267,8 @@ impl<'a> Refinement<'a> {
             if !seen {
                 let (size, camera) = (self.photos.size(*photo, 1), self.photos.camera(*photo, &cameras[*photo], 1)?);
                 let exposure = ColorTransform::IDENTITY;
-                let view = View { photo: *photo, size, rgb: Rgb::default(), camera, exposure };
+                let image = Arc::new(Image { width: 0, height: 0, rgb: Vec::new(), mask: None });
+                let view = View { photo: *photo, size, image, camera, exposure };
                 seen = self.gaussians.draw(&view)?.1 > 0;
             }
         }
@@ -336,8 +342,7 @@ impl<'a> Refinement<'a> {
             for view in &self.validation {
                 let (mut drawn, _) = self.gaussians.draw(view)?;
                 if self.exposures.is_some() {
-                    let values: Vec<f32> = view.values().collect();
-                    drawn = ColorTransform::fit(&drawn, &values).apply(&drawn);
+                    drawn = ColorTransform::fit(&view.image.kept(&drawn), &view.values()).apply(&drawn);
                 }
                 sum += view.psnr(&drawn) / self.validation.len() as f64;
             }

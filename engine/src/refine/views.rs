@@ -1,4 +1,4 @@
-use super::photos::Rgb;
+use super::photos::Photo;
 use crate::{
     Result,
     random::Random,
@@ -9,17 +9,20 @@ use crate::{
 pub(super) struct View {
     pub photo: usize,
     pub size: [u32; 2],
-    pub rgb: Rgb,
+    pub image: Photo,
     pub camera: Camera,
     pub exposure: ColorTransform,
 }
 
 impl View {
-    pub fn values(&self) -> impl Iterator<Item = f32> {
-        self.rgb.iter().map(|value| f32::from(*value) / 255.0)
+    /// Values of kept pixels.
+    pub fn values(&self) -> Vec<f32> {
+        self.image.kept(&self.image.rgb).iter().map(|value| f32::from(*value) / 255.0).collect()
     }
 
+    /// Returns the PSNR of kept pixels.
     pub fn psnr(&self, drawn: &[f32]) -> f64 {
+        let drawn = self.image.kept(drawn);
         let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
         let squares: f64 = drawn.iter().zip(self.values()).map(square).sum();
         -10.0 * (squares / drawn.len() as f64).max(1e-10).log10()

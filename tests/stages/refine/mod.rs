@@ -1,4 +1,5 @@
 mod exposure;
+mod masks;
 mod opened;
 
 use std::time::Duration;

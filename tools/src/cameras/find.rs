@@ -24,7 +24,7 @@ use tempfile::NamedTempFile;
 use zipsplat::{
     Error, Result,
     types::{
-        Camera,
+        Camera, Masks,
         poses::{Capture, CaptureView, read_cloud},
     },
 };
@@ -99,6 +99,12 @@ struct Search<'a> {
     times: Vec<(&'static str, Duration)>,
 }
 
+impl Finding {
+    pub fn masks(&self) -> Option<Masks> {
+        self.search.masks.given()
+    }
+}
+
 impl Finder {
     /// A file of that name is `./da3`.
     pub fn named(poses: &Path) -> Option<Self> {
@@ -143,7 +149,8 @@ impl EstimatedCameras {
         if photos.len() < 2 {
             return Err(Error::argument("photos to find cameras of", photos.len(), "two or more of one place"));
         }
-        let (work, _) = session.stage("prepare photos", |stage| Work::new(photos, stage))?;
+        let masks = searching.masks.given();
+        let (work, _) = session.stage("prepare photos", |stage| Work::new(photos, masks.as_ref(), stage))?;
         let mut search = Search::new(searching, &colmap, &work)?;
         for step in [Step::Features, Step::Matches] {
             if let Some(status) = search.run(session, step, work.folder.path())? {

@@ -25,7 +25,8 @@ impl EstimatedCameras {
         let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
         let arithmetic = &ArithmeticOption::default();
         let (side, cameras, request) = (finding.search.matching_size, finding.cameras, DepthOptions::default());
-        let options = PredictorOptions { checkpoint: &checkpoint, side, cameras, arithmetic, request };
+        let masks = finding.masks();
+        let options = PredictorOptions { checkpoint: &checkpoint, side, masks, cameras, arithmetic, request };
         Self::by_predictor(session, photos, options)
     }
 

@@ -98,11 +98,13 @@ impl Refine {
         let photos = photos::list(session, files)?;
         let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
         let photos = photos::kept(session, photos, Some(&poses), None)?;
+        let masks = self.finding.masks();
+        masks.as_ref().map_or(Ok(()), |masks| masks.check(&photos))?;
         let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
         drop(found);
         let device = session.device()?;
-        let files = PhotoFiles::new(&photos, &frames)?;
+        let files = PhotoFiles::new(&photos, &frames, masks)?;
         let (refined, request) = self.refine(session, &device, &started, files)?;
         let options = SaveOptions::default();
         let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;

@@ -51,9 +51,9 @@ impl FromPhotos {
         let Photographed { photos, known, folder } = self.photographed(session, paths, poses)?;
         let poses = known.as_ref().map(|known| &known.poses);
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        let side = self.quality.side();
-        let (prepared, _) =
-            session.stage("load photos", |stage| PreparedPhotos::read(side, &photos, &frames, stage))?;
+        let (side, masks) = (self.quality.side(), self.finding.masks());
+        let (prepared, _) = session
+            .stage("load photos", |stage| PreparedPhotos::read(side, &photos, &frames, masks.as_ref(), stage))?;
         let ratios = self.ratios(prepared.patches(checkpoint.architecture().backbone.patch_size))?;
         let device = session.device()?;
         let mut predictor = self.quality.predictor_options(checkpoint).open(session, &device)?;

@@ -53,7 +53,7 @@ impl Reconstruct {
         let world = frames[0].camera.pose;
         let camera = |frame: &&CaptureView| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
-        let photos = PhotoFiles::new(photos, frames)?;
+        let photos = PhotoFiles::new(photos, frames, self.finding.masks())?;
         let request = self.refine.settings.request(steps);
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
