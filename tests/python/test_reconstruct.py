@@ -165,10 +165,12 @@ def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path, tmp_
     masks[:, :, :10] = False
     masked = coarse.refine(opened, steps=15, masks=masks)
     assert not same(masked, sharp) and same(masked, coarse.refine(opened, steps=15, masks=~masks, invert_masks=True))
+    folder = tmp_path / "masks"
+    folder.mkdir()
     for i, mask in enumerate(masks):
-        zipsplat.save_image(tmp_path / f"{i}.png", np.repeat(mask[:, :, None], 3, 2).astype(np.uint8) * 255)
-    assert same(masked, coarse.refine(opened, steps=15, masks=tmp_path))
-    assert len(model.reconstruct(opened, input_size=SIZE, masks=tmp_path)) <= len(coarse)
+        zipsplat.save_image(folder / f"{i}.png", np.repeat(mask[:, :, None], 3, 2).astype(np.uint8) * 255)
+    assert same(masked, coarse.refine(opened, steps=15, masks=folder))
+    assert len(model.reconstruct(opened, input_size=SIZE, masks=folder)) <= len(coarse)
     with pytest.raises(zipsplat.ArgumentError, match="mask 0"):
         coarse.refine(opened, steps=1, masks=masks[:, :-1])
     with pytest.raises(zipsplat.ArgumentError, match="no alpha channel"):

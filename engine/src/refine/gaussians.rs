@@ -3,6 +3,7 @@
 
 use super::{
     Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
+    checkpoint::State,
     growth::padded,
     planned::{PhotoLoss, PhotoPlan, Training, record_photos},
     record_adam, record_anisotropy_limit,
@@ -36,6 +37,9 @@ const LIMIT_RATE: f32 = 2.0;
 /// Limit of pixels per run.
 const MAX_BATCH_PIXELS: usize = 1 << 20;
 
+/// Names in checkpoints.
+const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
+
 struct Field {
     values: Tensor,
     gradient: Tensor,
@@ -55,6 +59,8 @@ pub(super) struct Gaussians {
     scene: SceneTensors,
     drawing: RenderOptions,
     gradients: Gradients,
+    /// Tokens and their moments, if refined, and the plan that decodes them.
+    pub(super) tokens: Option<([Tensor; 3], Run)>,
     options: RefineOptions,
     learns_exposures: bool,
     clear: Run,
@@ -127,6 +133,7 @@ impl Gaussians {
             scene,
             drawing: RenderOptions::default(),
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
+            tokens: None,
             options: options.clone(),
             learns_exposures: false,
             clear,
@@ -183,6 +190,22 @@ impl Gaussians {
             }
         }
         Ok(Some(found))
+    }
+
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
+        let mut steps = self.steps as usize;
+        state.count("steps", &mut steps)?;
+        self.steps = steps as u32;
+        let fields = FIELDS.into_iter().zip(self.fields.iter().map(|f| [f.values, f.moments[0], f.moments[1]]));
+        for (name, tensors) in fields.chain(self.tokens.iter().map(|(tensors, _)| ("tokens", *tensors))) {
+            for (tensor, end) in tensors.into_iter().zip(["", ".first", ".second"]) {
+                state.tensor(&format!("{name}{end}"), &self.memories[0], tensor)?;
+            }
+        }
+        match &mut self.tokens {
+            Some((_, forward)) if state.loads() => forward.execute().map(drop),
+            _ => Ok(()),
+        }
     }
 
     pub fn learn_exposures(&mut self) {

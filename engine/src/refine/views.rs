@@ -1,4 +1,4 @@
-use super::photos::Photo;
+use super::{checkpoint::State, photos::Photo};
 use crate::{
     Result,
     random::Random,
@@ -61,6 +61,11 @@ pub(super) struct Order {
 impl Order {
     pub fn new(count: usize, seed: u64) -> Self {
         Self { count, random: Random::new(seed), left: Vec::new() }
+    }
+
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
+        state.fixed("order.random", std::slice::from_mut(self.random.state()))?;
+        state.mapped("order.left", &mut self.left, |i| *i as u64, |i| i as usize)
     }
 
     pub fn next(&mut self) -> usize {

@@ -1,3 +1,4 @@
+mod checkpoint;
 mod exposure;
 mod masks;
 mod opened;

@@ -27,8 +27,12 @@ pub fn summary(refined: &RefineResult, start: &str, given: &[Camera]) -> String 
     let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
         format!("; cameras turned by {degrees:.2} degrees and moved by {} (medians)", significant(distance))
     });
+    let resumed = match refined.resumed_step {
+        0 => String::new(),
+        step => format!(", resumed after step {step}"),
+    };
     format!(
-        "refined from {start} in {}: kept is step {step} of {steps}; {training} {before:.2} to {after:.2} dB{}{}{}",
+        "refined from {start} in {}: kept is step {step} of {steps}{resumed}; {training} {before:.2} to {after:.2} dB{}{}{}",
         time(refined.took),
         psnr.unwrap_or_default(),
         cameras.unwrap_or_default(),
@@ -44,7 +48,7 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
         "exposures": refined.exposures.as_ref().map(|all| all.iter().map(|exposure| exposure.0).collect::<Vec<_>>()),
         "masked_fraction": refined.masked_fraction, "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
         "holdout_psnr": refined.psnr().map(|[best, initial]| json!({ "initial": initial, "best": best })),
-        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
+        "steps": refined.losses.len(), "resumed_step": refined.resumed_step, "best_step": refined.best_step, "losses": refined.losses,
         "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes,
         "stop_reason": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
