@@ -68,7 +68,9 @@ fn masked_patches_have_no_gaussians() {
     assert_eq!((json["tokens"].as_u64(), json["unmasked_tokens"].as_u64()), (Some(60), Some(40)), "{json}");
     let each = json["gaussians_per_token"].as_u64().expect("a number");
     assert_eq!(json["gaussians"].as_u64(), Some(40 * each));
-    folder.run(&format!("{line} -o @/unmasked.ply")).success();
+    let tokens = format!("{line} --masks @/masks --refine 2 --refine-target tokens");
+    let refined = folder.run(&format!("{tokens} -o @/refined.ply --json")).json();
+    assert_eq!(refined["gaussians"], json["gaussians"]);
     std::fs::rename(folder.path("masks"), folder.path("place/masks")).expect("a folder");
     let each = "reconstruct @/place --each --cameras capture --weights @/micro.safetensors --input-size 42x28";
     folder.run(&format!("{each} --masks masks -o @/scenes")).success();

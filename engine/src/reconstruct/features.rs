@@ -4,7 +4,7 @@ use super::{
 };
 use crate::{
     Result,
-    gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
+    gpu::{Device, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
         render::{SceneMemory, SceneTensors},
@@ -64,6 +64,17 @@ impl SceneTokens {
     /// See [`ReconstructOptions::scene_scale`].
     pub fn scene_scale(&self) -> f64 {
         self.scene_scale
+    }
+
+    /// Returns the tokens of these numbers.
+    fn among(&self, device: &Device, numbers: &[usize]) -> Result<Self> {
+        let all: Vec<f32> = self.memory.read(self.tensor)?;
+        let rows = numbers.iter().flat_map(|token| &all[token * self.width..(token + 1) * self.width]);
+        let mut layout = ResidentLayout::new(device.limits());
+        let tensor = layout.add::<f32>(numbers.len() * self.width);
+        let memory = Arc::new(Resident::new(device, &layout)?);
+        memory.write(tensor, &rows.copied().collect::<Vec<_>>())?;
+        Ok(Self { memory, tensor, count: numbers.len(), ..*self })
     }
 
     /// Memory of the tensor.
@@ -134,6 +145,7 @@ impl Model {
     }
 
     /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`.
+    /// Tokens of masked patches are left out.
     pub fn tokens(
         &self,
         features: &Features,
@@ -152,7 +164,12 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, options)?;
         run.execute_with(progress)?;
-        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale })
+        let tokens = SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale };
+        let mut patches = Patches::of(&run, choice, shape, options)?;
+        match patches.drop_masked(features.masked.as_deref()) {
+            Some(unmasked) => tokens.among(&self.device, &unmasked),
+            None => Ok(tokens),
+        }
     }
 
     fn shape_of(&self, features: &Features, options: &ReconstructOptions) -> Result<Shape> {
