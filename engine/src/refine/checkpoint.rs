@@ -8,9 +8,8 @@ use crate::{
     types::{Camera, Scene, Unfinished, open_file},
 };
 use bytemuck::Pod;
-use safetensors::{Dtype, SafeTensors, View};
+use safetensors::{Dtype, SafeTensorError, SafeTensors, tensor::TensorView};
 use std::{
-    borrow::Cow,
     collections::HashMap,
     fs::File,
     io::Read,
@@ -38,29 +37,12 @@ pub(super) type Identity = Vec<(&'static str, String)>;
 
 /// A state that is written, or read in the same order.
 pub(super) enum State<'a> {
-    Save(Vec<(String, Values)>),
+    Save(Vec<Values>),
     Load(SafeTensors<'a>, &'a Path),
 }
 
-pub(super) struct Values(Dtype, Vec<usize>, Vec<u8>);
-
-impl View for Values {
-    fn dtype(&self) -> Dtype {
-        self.0
-    }
-
-    fn shape(&self) -> &[usize] {
-        &self.1
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(&self.2)
-    }
-
-    fn data_len(&self) -> usize {
-        self.2.len()
-    }
-}
+/// Name, type, shape and bytes.
+pub(super) type Values = (String, Dtype, Vec<usize>, Vec<u8>);
 
 /// A number, or a row of numbers.
 pub(super) trait Element: Pod {
@@ -98,7 +80,7 @@ impl State<'_> {
         match self {
             Self::Save(tensors) => {
                 let bytes = bytemuck::cast_slice(list).to_vec();
-                tensors.push((name.to_owned(), Values(T::DTYPE, vec![list.len(), T::WIDTH], bytes)));
+                tensors.push((name.to_owned(), T::DTYPE, vec![list.len(), T::WIDTH], bytes));
             }
             Self::Load(tensors, path) => {
                 let tensor = tensors.tensor(name).map_err(|error| damaged(path, error))?;
@@ -215,16 +197,22 @@ impl RefineCheckpoint {
         Ok(State::Load(SafeTensors::deserialize(bytes).map_err(failed)?, &self.path))
     }
 
-    pub(super) fn save(&self, identity: &Identity, tensors: Vec<(String, Values)>) -> Result<()> {
+    pub(super) fn save(&self, identity: &Identity, values: &[Values]) -> Result<()> {
         let metadata: HashMap<String, String> =
             identity.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect();
         let file = Unfinished::begin(&self.path)?;
         let failed = |error| Error::io(&self.path, error);
-        safetensors::serialize_to_file(tensors, Some(metadata), file.temporary_path())
+        let tensors: Result<Vec<_>, SafeTensorError> = values.iter().map(view).collect();
+        tensors
+            .and_then(|tensors| safetensors::serialize_to_file(tensors, Some(metadata), file.temporary_path()))
             .map_err(|error| failed(std::io::Error::other(error)))?;
         File::open(file.temporary_path()).and_then(|file| file.sync_all()).map_err(failed)?;
         file.finish()
     }
+}
+
+fn view((name, dtype, shape, bytes): &Values) -> Result<(&str, TensorView<'_>), SafeTensorError> {
+    Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?))
 }
 
 /// Returns what a refinement's result depends on. `start` are the initial values.

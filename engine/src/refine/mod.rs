@@ -261,7 +261,7 @@ fn run(
         }
         None => None,
     };
-    let bytes = saving.as_ref().map_or(Ok(None), Saving::read)?;
+    let bytes = saving.as_ref().map_or(Ok(None), |saving| saving.checkpoint.read())?;
     if let (Some(bytes), Some(saving)) = (bytes, &mut saving) {
         let checkpoint = saving.checkpoint.clone();
         let mut state = checkpoint.open(&bytes, &saving.identity)?;

@@ -31,10 +31,6 @@ impl Saving {
         Self { checkpoint, identity, plan: [NONE; 4], last: Instant::now(), spent: 0.0 }
     }
 
-    pub fn read(&self) -> Result<Option<Vec<u8>>> {
-        self.checkpoint.read()
-    }
-
     pub fn plan(&mut self, steps: usize, options: &RefineOptions) {
         let [width, height] = options.max_image_size.map_or([NONE; 2], |size| size.map(u64::from));
         self.plan = [steps as u64, width, height, options.max_gaussians.map_or(NONE, |most| most as u64)];
@@ -70,8 +66,8 @@ impl Refinement<'_> {
         saving.spent = begin.elapsed().as_secs_f64();
         saving.state(&mut state)?;
         self.state(&mut state, &mut done)?;
-        let State::Save(tensors) = state else { unreachable!("it saves") };
-        saving.checkpoint.save(&saving.identity, tensors)?;
+        let State::Save(values) = state else { unreachable!("it saves") };
+        saving.checkpoint.save(&saving.identity, &values)?;
         saving.last = Instant::now();
         Ok(())
     }
