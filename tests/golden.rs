@@ -15,11 +15,11 @@ use zipsplat::{gpu::cache_dir, perceptual::Perceptual, stages::lpips::LpipsNetwo
 
 const LENGTH_BYTES: usize = 8;
 
-/// `ZIPSPLAT_GRADIENTS` (gradients, depth networks), committed, shared.
+/// `ZIPSPLAT_GOLDENS` (gradients, networks), committed, shared.
 fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let beside = [tests.join("data"), tests.join("../../shared/golden/data")];
-    env::var_os("ZIPSPLAT_GRADIENTS").map(PathBuf::from).into_iter().chain(beside).collect()
+    env::var_os("ZIPSPLAT_GOLDENS").map(PathBuf::from).into_iter().chain(beside).collect()
 }
 
 pub fn find(file: &str) -> Option<PathBuf> {

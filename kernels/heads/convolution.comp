@@ -7,8 +7,8 @@
 // Residual [pixels, columns] f32; read if ADD
 // Out      [pixels, columns] f32, pixels from `first` on
 //
-// RECTIFIED clamps source values to 0 and above. One subgroup owns ROWS pixels and 4 columns a
-// lane. Addresses of Source are uniform, as in ops/linear.
+// RECTIFIED clamps source values to 0 and above, ADD_RECTIFIED the residual. One subgroup owns ROWS
+// pixels and 4 columns a lane. Addresses of Source are uniform, as in ops/linear.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
@@ -20,6 +20,7 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const bool RECTIFIED = false;
 layout(constant_id = 2) const bool GELU = false;
 layout(constant_id = 3) const bool ADD = false;
+layout(constant_id = 4) const bool ADD_RECTIFIED = false;
 
 const uint ROWS = LINEAR_ROWS;
 
@@ -97,7 +98,7 @@ void main() {
             if (column >= columns) continue;
             float value = sum[r][c] + bias[column];
             if (GELU) value = gelu(value);
-            if (ADD) value += residual[row * columns + column];
+            if (ADD) value += ADD_RECTIFIED ? max(residual[row * columns + column], 0.0) : residual[row * columns + column];
             result[row * columns + column] = value;
         }
     }

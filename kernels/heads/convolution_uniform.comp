@@ -22,6 +22,7 @@ layout(constant_id = 2) const bool ADD = false;
 layout(constant_id = 3) const uint TERMS = 4; // per loop pass; divides span
 layout(constant_id = 4) const uint TILE_ROWS = 6;
 layout(constant_id = 5) const uint VECTORS = 2; // VECTORS * subgroup size divides PANEL_COLUMNS
+layout(constant_id = 6) const bool ADD_RECTIFIED = false;
 
 layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
@@ -94,7 +95,7 @@ void main() {
             uint at = row * columns + column;
             float value = sum[r][v] + offset;
             if (GELU) value = gelu(value);
-            if (ADD) value += residual[at];
+            if (ADD) value += ADD_RECTIFIED ? max(residual[at], 0.0) : residual[at];
             result[at] = value;
         }
     }

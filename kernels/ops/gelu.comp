@@ -1,14 +1,15 @@
-// Applies the exact (erf) GELU or its backward pass.
+// Applies the exact (erf) GELU, its backward pass, or SiLU.
 //
 // Source   [count] f32, before activation
 // Gradient [count] f32, d loss / d GELU; read if BACKWARD
-// Out      [count] f32, GELU, or d loss / d Source if BACKWARD; may alias Gradient
+// Out      [count] f32, GELU, SiLU, or d loss / d Source if BACKWARD; may alias Gradient
 #version 460
 layout(local_size_x = 64) in;
 #include "shared/gelu.glsl"
 #include "shared/index.glsl"
 
 layout(constant_id = 1) const bool BACKWARD = false;
+layout(constant_id = 2) const bool SILU = false;
 
 layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
 layout(set = 0, binding = 1) readonly buffer Gradient { float gradient[]; };
@@ -25,6 +26,6 @@ void main() {
         float slope = 0.5 + 0.5 * erf(x * SQRT_HALF) + x * DENSITY * exp(-0.5 * x * x);
         result[i] = gradient[i] * slope;
     } else {
-        result[i] = gelu(x);
+        result[i] = SILU ? silu(x) : gelu(x);
     }
 }

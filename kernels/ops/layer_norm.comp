@@ -1,9 +1,9 @@
 // Normalizes rows: out = (x - mean) / sqrt(variance + eps) * weight + bias, x = source + addend.
 //
-// Source       [rows, width] f32; if patches > 0, a camera token precedes every `patches` rows
+// Source       [rows, width] f32; `leading` special tokens precede every `patches` rows
 // Addend       [rows, width] f32; read if ADD
 // Weight, Bias [width] f32
-// Out          [rows, out_stride] OUTPUT, columns from out_column on, without camera tokens
+// Out          [rows, out_stride] OUTPUT, columns from out_column on, without special tokens
 //
 // One subgroup owns one row, a workgroup SUBGROUPS of them.
 #version 460
@@ -31,6 +31,7 @@ layout(push_constant) uniform Push {
     uint out_stride;
     uint out_column;
     uint patches;
+    uint leading;
     float eps;
 };
 
@@ -42,7 +43,7 @@ float value_of(uint c) { return ADD ? source[from + c] + addend[addend_from + c]
 void main() {
     uint row = group_index() * SUBGROUPS + gl_SubgroupID;
     if (row >= rows) return;
-    from = (patches > 0 ? row + row / patches + 1 : row) * width;
+    from = (row + (row / patches + 1) * leading) * width;
     addend_from = row * width;
     Statistics statistics = row_statistics(width, eps);
     uint to = row * out_stride + out_column;

@@ -1,6 +1,6 @@
-// Copies an array into columns of a wider one, to join arrays side by side.
+// Copies rows of an array into columns of a wider one, to join arrays side by side.
 //
-// Source [rows, width] f32
+// Source [groups, group, width] f32, of which `kept` rows from `first` on are copied
 // Out    [rows, out_width] OUTPUT, columns from out_column on
 #version 460
 #pragma element OUTPUT
@@ -17,9 +17,15 @@ layout(push_constant) uniform Push {
     uint width;
     uint out_width;
     uint out_column;
+    uint first;
+    uint kept;
+    uint group;
 };
 
 void main() {
     uint i = global_index();
-    if (i < count) result[i / width * out_width + out_column + i % width] = to_OUTPUT(source[i]);
+    if (i >= count) return;
+    uint row = i / width;
+    uint from = row / kept * group + first + row % kept;
+    result[row * out_width + out_column + i % width] = to_OUTPUT(source[from * width + i % width]);
 }

@@ -45,10 +45,10 @@ const BLOCK_EPS: f64 = 1e-6;
 const EPS: f64 = 1e-5;
 
 #[derive(Clone)]
-struct Map {
-    values: Vec<f64>,
-    size: [usize; 2],
-    channels: usize,
+pub(crate) struct Map {
+    pub values: Vec<f64>,
+    pub size: [usize; 2],
+    pub channels: usize,
 }
 
 /// Computes head outputs for normalized `images` without known cameras, in the frame of view
@@ -57,14 +57,10 @@ pub fn views(weights: &Weights, sizes: &Sizes, images: &Images, reference: usize
     let (layers, cameras) = features(weights, sizes, images, reference);
     let multi = sizes.alt_start < sizes.depth;
     let [rows, columns] = images.grid(sizes.patch);
-    let head = Head { weights: Scope::of(weights, "model.head"), full: [images.height, images.width], placed: multi };
+    let full = [images.height, images.width];
+    let head = Head { weights: Scope::of(weights, "model.head"), full, placed: multi, rectified: false };
     let view = |v: usize| {
-        let part = |layer: &Vec<f64>| {
-            let each = layer.len() / images.views;
-            let values = layer[v * each..(v + 1) * each].to_vec();
-            Map { channels: each / (rows * columns), values, size: [rows, columns] }
-        };
-        let levels = head.levels(&layers.iter().map(part).collect::<Vec<_>>());
+        let levels = head.levels(&Map::of_view(&layers, [v, images.views], [rows, columns]));
         let up = head.up(&levels);
         let camera = &cameras[v * 2 * sizes.width..(v + 1) * 2 * sizes.width];
         View {
@@ -114,11 +110,24 @@ pub fn features(weights: &Weights, sizes: &Sizes, images: &Images, reference: us
     (features, (0..images.views).flat_map(first).collect())
 }
 
-/// Parameters, image size, and whether positions are added.
-struct Head<'a> {
-    weights: Scope<'a>,
-    full: [usize; 2],
-    placed: bool,
+impl Map {
+    /// Returns the part of view `v` of `views` in each layer.
+    pub(crate) fn of_view(layers: &[Vec<f64>], [v, views]: [usize; 2], size: [usize; 2]) -> Vec<Map> {
+        let part = |layer: &Vec<f64>| {
+            let each = layer.len() / views;
+            let values = layer[v * each..(v + 1) * each].to_vec();
+            Map { channels: each / (size[0] * size[1]), values, size }
+        };
+        layers.iter().map(part).collect()
+    }
+}
+
+/// Parameters, image size, whether positions are added, and whether residuals are rectified.
+pub(crate) struct Head<'a> {
+    pub weights: Scope<'a>,
+    pub full: [usize; 2],
+    pub placed: bool,
+    pub rectified: bool,
 }
 
 impl Head<'_> {
@@ -147,7 +156,7 @@ impl Head<'_> {
         Map { values: add(&x.values, &positions(aspect, [height, width, x.channels])), ..x.clone() }
     }
 
-    fn levels(&self, features: &[Map]) -> Vec<Map> {
+    pub(crate) fn levels(&self, features: &[Map]) -> Vec<Map> {
         let level = |(j, x): (usize, &Map)| {
             let mut x = x.clone();
             if self.placed {
@@ -176,7 +185,8 @@ impl Head<'_> {
         let unit = |x: &Map, name: &str| {
             let hidden = self.convolved(&relu(x), &format!("{name}.conv1"), 1);
             let change = self.convolved(&relu(&hidden), &format!("{name}.conv2"), 1);
-            Map { values: add(&x.values, &change.values), ..change }
+            let kept = if self.rectified { relu(x) } else { x.clone() };
+            Map { values: add(&kept.values, &change.values), ..change }
         };
         let mut below: Option<Map> = None;
         for j in (0..4).rev() {
@@ -195,12 +205,12 @@ impl Head<'_> {
         below.expect("four levels")
     }
 
-    fn up(&self, levels: &[Map]) -> Map {
+    pub(crate) fn up(&self, levels: &[Map]) -> Map {
         let neck = self.convolved(&self.fused(levels, ""), "scratch.output_conv1", 1);
         self.placed(&resized(&neck, self.full))
     }
 
-    fn tail(&self, x: &Map, name: &str) -> Map {
+    pub(crate) fn tail(&self, x: &Map, name: &str) -> Map {
         let mut hidden = self.convolved(x, &format!("{name}.0"), 1);
         hidden.values.iter_mut().for_each(|x| *x = x.max(0.0));
         self.convolved(&hidden, &format!("{name}.2"), 1)

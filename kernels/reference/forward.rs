@@ -13,7 +13,7 @@ use super::model::Model;
 use super::ops::add::add;
 use super::ops::split_heads::Pool;
 use super::ops::{gather_rows::gather_rows, place_columns::join_columns};
-use super::widen;
+use super::{vggt, widen};
 
 /// Intermediate results by golden key, such as `bb/block0`.
 pub type Taps = BTreeMap<String, Vec<f64>>;
@@ -53,6 +53,9 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: us
 /// `[views * patches, 2 width]` per output layer, deepest first.
 fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool, taps: &mut Taps) -> Vec<Vec<f64>> {
     let architecture = &model.architecture;
+    if model.scope("backbone.aggregator").has("camera_token") {
+        return vggt::features(model, images, pool.side, taps);
+    }
     let weights = model.scope("backbone.backbone");
     let [rows, columns] = images.grid(architecture.patch);
     let token_count = 1 + rows * columns;

@@ -17,6 +17,7 @@ pub mod model;
 pub mod ops;
 pub mod refine;
 pub mod render;
+pub mod vggt;
 
 /// Converts f32 to f64.
 pub fn widen(values: &[f32]) -> Vec<f64> {

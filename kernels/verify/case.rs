@@ -99,6 +99,7 @@ pub(crate) fn halves(values: &[f64]) -> Vec<f64> {
 }
 
 /// Faults that a case must catch besides zeros.
+#[derive(Clone)]
 pub(crate) struct Catches<F>(Vec<F>);
 
 impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {

@@ -20,6 +20,7 @@ mod gaussians {
 }
 mod heads {
     pub mod convolution;
+    pub mod modulate;
     pub mod pixel_shuffle;
     pub mod resize;
 }
@@ -317,6 +318,7 @@ pub fn catalog() -> Vec<Area> {
         ops::linear::q8_area(),
         ops::layer_norm::area(),
         heads::convolution::area(),
+        heads::modulate::area(),
         heads::pixel_shuffle::area(),
         heads::resize::area(),
         ops::split_heads::area(),

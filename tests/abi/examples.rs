@@ -15,7 +15,7 @@ use zipsplat::{
     depth::{DepthModel, DepthOptions},
     ops::Arithmetic,
     reconstruct::ReconstructOptions,
-    types::{DEFAULT_BOUND, Image, bounded_views, preprocess::fit, read_ply},
+    types::{Fitting, Image, bounded_views, preprocess::fit, read_ply},
     weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
 use zipsplat_tests::{architectures, compare::assert_same, device::device as rust_device};
@@ -151,7 +151,7 @@ fn depth_in_c() {
     assert_eq!(out.lines().filter(|line| line.contains("in the middle, confidence")).count(), 2, "{out}");
 
     let read: Vec<Image> = photos.iter().map(|path| Image::open(path).expect("a photo")).collect();
-    let views = bounded_views(read.len(), |i| Ok(&read[i]), DEFAULT_BOUND).expect("views");
+    let views = bounded_views(read.len(), |i| Ok(&read[i]), Fitting::LongestSide, None).expect("views");
     let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
     let checkpoint = DepthCheckpoint::open(&weights, false).expect("weights");
     let model =

@@ -116,7 +116,8 @@ fn hub(path: &str, state: &State) -> String {
     match path {
         "/veichta/zipsplat/resolve/main/zipsplat-da3g-252p.tar"
         | "/depth-anything/DA3-SMALL/resolve/main/model.safetensors"
-        | "/depth-anything/DA3-LARGE-1.1/resolve/main/model.safetensors" => {
+        | "/depth-anything/DA3-LARGE-1.1/resolve/main/model.safetensors"
+        | "/facebook/VGGT-1B/resolve/main/model.safetensors" => {
             format!("HTTP/1.1 307 Moved\r\nLocation: /renamed/zipsplat.tar\r\n{end}")
         }
         "/renamed/zipsplat.tar" => {

@@ -25,6 +25,7 @@ mod refine;
 mod render;
 mod server;
 mod trajectories;
+mod vggt;
 mod video;
 mod view;
 mod weights;
@@ -37,7 +38,7 @@ use std::{
 use tempfile::TempDir;
 use zipsplat::{
     types::{Image, poses::Capture, write_ply},
-    weights::{Checkpoint, DepthCheckpoint, Dtype},
+    weights::{Checkpoint, DepthArchitecture, DepthCheckpoint, Dtype},
 };
 use zipsplat_tests::{architectures, command::run as raw_command, scenes};
 
@@ -115,6 +116,19 @@ impl Folder {
             checkpoint.save_with(self.path(name), Dtype::F32, |_| Continue(())).expect("weights can be written");
             scale(&self.path(name), "model.cam_dec.fc_fov.0.weight", 1.0 / 64.0);
         }
+        self
+    }
+
+    /// Adds weights of VGGT, `vggt.safetensors`, and of ZipSplat on VGGT, `tokens.safetensors`.
+    fn with_vggt(self) -> Self {
+        let maps = (8, [8, 8, 8, 8]);
+        let architecture = DepthArchitecture::vggt("vggt-micro", 64, [1, 4], [0, 1, 2, 3], maps);
+        let checkpoint = DepthCheckpoint::seeded(architecture, "micro").expect("a network");
+        let path = self.path("vggt.safetensors");
+        checkpoint.save_with(&path, Dtype::F32, |_| Continue(())).expect("weights can be written");
+        scale(&path, "camera_head.pose_branch.fc2.weight", 1.0 / 64.0);
+        let tokens = Checkpoint::seeded_architecture(architectures::vggt_micro(), "micro").expect("a network");
+        tokens.save(self.path("tokens.safetensors"), Dtype::F32).expect("weights can be written");
         self
     }
 

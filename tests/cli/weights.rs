@@ -131,7 +131,9 @@ fn weights_of_depth_stay_as_they_are() {
     let missing = ["weights da3-small", "`zipsplat weights get da3-small`"];
     place.run("convert da3-small").fails(3, &missing);
     place.run("depth @/photos --weights da3-small -o @/out").fails(3, &missing);
-    place.run("weights get da3-large").fails(3, &["no --yes", "CC BY-NC 4.0", "no commercial use"]);
+    for name in ["da3-large", "vggt-1b"] {
+        place.run(&format!("weights get {name}")).fails(3, &["no --yes", "CC BY-NC 4.0", "no commercial use"]);
+    }
     let got = place.run("weights get da3-small --yes --timeout 0.3 --json");
     assert!(got.err.contains("Apache-2.0"), "{}", got.err);
     let path = got.json()["path"].as_str().expect("a path").to_owned();

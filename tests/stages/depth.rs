@@ -5,15 +5,26 @@ use std::collections::BTreeSet;
 use zipsplat::Scene;
 use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction, pixel_gaussians};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint, Ffn};
+use zipsplat_tests::compare::Float;
 use zipsplat_tests::networks::{images, observed};
 use zipsplat_tests::prelude::*;
 
-fn architecture(config: &str) -> DepthArchitecture {
+pub(crate) fn architecture(config: &str) -> DepthArchitecture {
     let manifest = golden::json(&format!("{config}.manifest.json")).expect("it lies beside the goldens");
     let conf = &manifest["conf"];
     let number = |value: &Value| value.as_u64().expect("a whole number") as usize;
     let four = |key: &str| -> [usize; 4] { std::array::from_fn(|i| number(&conf[key][i])) };
     let depth = number(&conf["depth"]);
+    if conf.get("trunk").is_some() {
+        let blocks = [number(&conf["dino_depth"]), depth];
+        let maps = (number(&conf["features"]), four("channels"));
+        let mut found = DepthArchitecture::vggt(config, number(&conf["D"]), blocks, four("layers"), maps);
+        (found.backbone.heads, found.points) = (number(&conf["heads"]), true);
+        found.backbone.position_grid = number(&conf["size"]) / 14;
+        let camera = found.camera_head.as_mut().expect("a head for cameras");
+        (camera.depth, camera.heads) = (number(&conf["trunk"]), number(&conf["cam_heads"]));
+        return found;
+    }
     let alt = conf["alt"].as_u64().map_or(depth, |alt| alt as usize);
     let ffn = if conf["ffn"].is_string() { Ffn::SwiGlu } else { Ffn::Gelu };
     let maps = (number(&conf["features"]), four("channels"));
@@ -30,7 +41,7 @@ fn model(golden: &Golden) -> DepthModel {
         .unwrap()
 }
 
-fn config(golden: &Golden) -> &str {
+pub(crate) fn config(golden: &Golden) -> &str {
     golden.file().split('.').next().expect("config.case")
 }
 
@@ -44,13 +55,13 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-struct Observed {
+pub(crate) struct Observed {
     run: Run,
-    depths: DepthPrediction,
+    pub depths: DepthPrediction,
 }
 
 impl Observed {
-    fn new(golden: &Golden) -> Self {
+    pub fn new(golden: &Golden) -> Self {
         let model = model(golden);
         let images = images(golden);
         let request = DepthOptions { cameras: cameras(golden), ..DepthOptions::default() };
@@ -63,19 +74,19 @@ impl Observed {
         Self { run, depths }
     }
 
-    fn taps(&self, name: &str) -> Vec<Vec<f32>> {
+    pub fn taps(&self, name: &str) -> Vec<Vec<f32>> {
         let named = self.run.observed().iter().filter(|(other, _)| other == name);
         named.map(|(_, tensor)| self.run.read(*tensor).unwrap()).collect()
     }
 }
 
 /// `[pixels, channels]` to `[channels, pixels]`, every `step`-th channel.
-fn planar(values: &[f32], channels: usize, step: usize) -> Vec<f32> {
+pub(crate) fn planar(values: &[f32], channels: usize, step: usize) -> Vec<f32> {
     (0..channels).step_by(step).flat_map(|c| values[c..].iter().step_by(channels)).copied().collect()
 }
 
 /// At least three times PyTorch's f32 deviation.
-fn tolerance(tap: &str) -> Tolerance {
+pub(crate) fn tolerance(tap: &str) -> Tolerance {
     let max = match tap {
         _ if tap.starts_with("bb/feat") => 1.5e-5,
         _ if tap.contains("logits") => 5e-5,
@@ -84,7 +95,7 @@ fn tolerance(tap: &str) -> Tolerance {
     Tolerance { max, rms: max / 3.0 }
 }
 
-fn compare(golden: &Golden, key: &str, got: &[f32], tolerance: Tolerance) {
+pub(crate) fn compare(golden: &Golden, key: &str, got: &[impl Float], tolerance: Tolerance) {
     assert_close(&format!("{} {key}", golden.file()), got, &golden.f64(key), tolerance);
 }
 

@@ -11,7 +11,7 @@ use zipsplat_tests::{
 /// As for the heads' goldens.
 const WITHIN: Tolerance = Tolerance { max: 1e-4, rms: 3e-5 };
 
-fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
+pub(crate) fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
     let byte = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
     let picture = |v: u32| (0..3 * width * height).map(|i| byte(i + (v << 18) + 1)).collect();
     (0..count).map(|v| Image::new(width, height, picture(v)).unwrap()).collect()

@@ -16,7 +16,7 @@ fn depths(of: impl Fn(usize) -> DepthMap) -> DepthPrediction {
 
 fn view(depth: impl Fn(usize) -> f32) -> DepthMap {
     let depth = (0..PIXELS).map(depth).collect();
-    DepthMap { depth, confidence: None, rays: None, sky: None, encoding: None, gaussians: None }
+    DepthMap { depth, ..DepthMap::default() }
 }
 
 fn cameras() -> [Camera; 2] {

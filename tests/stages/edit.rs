@@ -207,7 +207,7 @@ fn clean_drops_floaters_and_keeps_the_rest() {
     let mut scene = random_scene(2000, 0, 0.3);
     scene.opacities.fill(0.5);
     let [faint, large, alone, behind, beside] = [3, 5, 8, 11, 14];
-    scene.opacities[faint] = 0.019;
+    scene.opacities[faint] = 0.009;
     scene.scales[large] = [50.0, 0.1, 0.1];
     (scene.means[alone], scene.scales[alone]) = ([0.0, -30.0, 40.0], [0.5, 0.1, 0.1]);
     (scene.means[behind], scene.scales[behind]) = ([0.0, 0.0, -1.0], [2.0; 3]);

@@ -6,7 +6,7 @@ use zipsplat::stages::loss::{Loss, LossTensors, record_loss};
 use zipsplat::stages::render::{
     CameraRows, FrameShape, Gradients, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
 };
-use zipsplat::{gpu::Resident, kernels::ops::PlaceColumns, ops::ParameterLayout, stages::gaussians::Head};
+use zipsplat::{gpu::Resident, ops::ParameterLayout, ops::place_columns, stages::gaussians::Head};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{
     reference::gaussians::activate::activate, reference::ops::activation::gelu, reference::ops::linear::linear,
@@ -197,16 +197,8 @@ impl Steps {
         if scene_only {
             let zeros = rec.tensor::<f32>("zeros", count * width / 2);
             rec.fill(zeros, 0);
-            let kernel = PlaceColumns {
-                source: zeros,
-                out: d_tokens,
-                count: (count * width / 2) as u32,
-                width: width as u32 / 2,
-                out_width: width as u32,
-                out_column: width as u32 / 2,
-                output: Element::F32,
-            };
-            rec.dispatch(kernel, count * width / 2);
+            let (zeros, tokens) = (Rows::new(zeros, count, width / 2), Rows::new(d_tokens, count, width));
+            place_columns(&mut rec, zeros, tokens, width / 2);
         }
         let Inputs { tokens: Rows { tensor: tokens, .. }, moments, schedule, .. } = inputs;
         let adam = Adam::default();

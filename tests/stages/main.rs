@@ -25,4 +25,5 @@ mod scene_files;
 mod scene_formats;
 mod tokens;
 mod trajectories;
+mod vggt;
 mod weights;

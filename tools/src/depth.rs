@@ -1,8 +1,8 @@
-//! Photos seen by Depth Anything 3: depth and cameras.
+//! Photos seen by Depth Anything 3 or VGGT: depth and cameras.
 
 use crate::{
     cameras::lenses,
-    options::{ArithmeticOption, Quality, refuse},
+    options::{ArithmeticOption, Quality, Size, refuse},
     photos,
     session::{Session, Stage},
     table::counted,
@@ -20,7 +20,7 @@ use zipsplat::{
     ops::Precision,
     reconstruct::Ratio,
     types::{
-        Camera, DEFAULT_BOUND, Image, Masks, Pose, Scene, bounded_views,
+        Camera, Fitting, Image, Masks, Pose, Scene, bounded_views,
         poses::{CaptureView, read_cloud},
         preprocess::View,
     },
@@ -29,9 +29,12 @@ use zipsplat::{
 
 pub const POINTS: usize = 200_000;
 
+/// In messages.
+pub const DEPTH_WEIGHTS: &str = "weights of Depth Anything 3 or VGGT";
+
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct CamerasFrom {
-    /// Source of the cameras that Depth Anything 3 estimates
+    /// Source of the cameras that a depth network estimates
     #[arg(long, value_enum, value_name = "HOW", default_value = "decoder")]
     camera_source: CameraSource,
     /// Estimate a focal length per photo, different along x and y; by default photos of equal size,
@@ -51,7 +54,7 @@ enum CameraSource {
 
 pub struct PredictorOptions<'a> {
     pub checkpoint: &'a DepthCheckpoint,
-    /// Longer side of the network's input [default: Depth Anything 3's own].
+    /// Longer side of the network's input [default: the network's own].
     pub side: Option<u32>,
     pub masks: Option<Masks>,
     pub cameras: CamerasFrom,
@@ -76,7 +79,7 @@ impl Quality {
     }
 
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
-        refuse("--kv-pool", self.kv_pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        refuse("--kv-pool", self.kv_pool != 1, DEPTH_WEIGHTS, "weights of ZipSplat")?;
         let all = checkpoint.architecture().backbone.patch_size.pow(2) as u32;
         match self.kept() {
             Some(keep) if keep > all => {
@@ -87,12 +90,19 @@ impl Quality {
     }
 }
 
+/// Returns the network's own size of square photos.
+pub fn square(checkpoint: &DepthCheckpoint) -> Size {
+    let side = checkpoint.architecture().fitting().default_bound();
+    Size(side, side)
+}
+
 pub fn check_finds_cameras(network: &DepthArchitecture) -> Result<()> {
     if network.multi_view() {
         return Ok(());
     }
     let found = format!("{}, which sees each photo by itself and has no camera decoder", network.name);
-    let expected = "da3-small, da3-base, da3-large or da3-giant, which see all photos at once; or known cameras";
+    let expected =
+        "da3-small, da3-base, da3-large, da3-giant or vggt-1b, which see all photos at once; or known cameras";
     Err(Error::argument("network that finds cameras", found, expected))
 }
 
@@ -113,7 +123,7 @@ pub struct PredictedViews {
 pub struct DepthPredictor {
     model: DepthModel,
     precision: Precision,
-    side: Option<u32>,
+    input: InputSize,
     cameras: CamerasFrom,
     request: DepthOptions,
     loading: Duration,
@@ -129,8 +139,7 @@ pub struct PreparedPhotos {
 impl PredictorOptions<'_> {
     /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&CaptureView]) -> Result<PredictedViews> {
-        let (prepared, reading) = session
-            .stage("load photos", |stage| PreparedPhotos::read(self.side, photos, known, self.masks.as_ref(), stage))?;
+        let (prepared, reading) = session.stage("load photos", |stage| self.read(photos, known, stage))?;
         let device = session.device()?;
         let predictor = self.open(session, &device)?;
         let (mut predicted, _) = session.stage("depth", |stage| predictor.predict(prepared, stage))?;
@@ -139,30 +148,47 @@ impl PredictorOptions<'_> {
         Ok(predicted)
     }
 
+    pub fn read(&self, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<PreparedPhotos> {
+        self.input().read(photos, known, self.masks.as_ref(), stage)
+    }
+
+    fn input(&self) -> InputSize {
+        InputSize { side: self.side, fitting: self.checkpoint.architecture().fitting() }
+    }
+
     pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<DepthPredictor> {
-        let Self { checkpoint, side, cameras, arithmetic, request, .. } = self;
+        let input = self.input();
+        let Self { checkpoint, cameras, arithmetic, request, .. } = self;
         let (precision, arithmetic) = arithmetic.choose(session, device)?;
         let load =
             |stage: &Stage<'_>| DepthModel::from_checkpoint(device, checkpoint, arithmetic, |done| stage.at(done));
         let (model, loading) = session.stage("load weights", load)?;
-        Ok(DepthPredictor { model, precision, side, cameras, request, loading })
+        Ok(DepthPredictor { model, precision, input, cameras, request, loading })
     }
 }
 
-impl PreparedPhotos {
-    pub fn read(
-        side: Option<u32>,
+#[derive(Clone, Copy)]
+struct InputSize {
+    side: Option<u32>,
+    fitting: Fitting,
+}
+
+impl InputSize {
+    fn read(
+        self,
         photos: &[PathBuf],
         known: &[&CaptureView],
         masks: Option<&Masks>,
         stage: &Stage<'_>,
-    ) -> Result<Self> {
+    ) -> Result<PreparedPhotos> {
         let read = photos::read(photos, known, masks, stage, |_, photo| Ok(photo))?;
-        let views = bounded_views(read.len(), |i| Ok(&read[i]), side.unwrap_or(DEFAULT_BOUND))?;
+        let views = bounded_views(read.len(), |i| Ok(&read[i]), self.fitting, self.side)?;
         let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
-        Ok(Self { photos: photos.to_vec(), views, known_cameras })
+        Ok(PreparedPhotos { photos: photos.to_vec(), views, known_cameras })
     }
+}
 
+impl PreparedPhotos {
     /// Returns the number of patches of all photos, of `side` pixels.
     pub fn patches(&self, side: usize) -> usize {
         let of = |view: &View| (view.image.width as usize / side) * (view.image.height as usize / side);
@@ -178,7 +204,7 @@ impl DepthPredictor {
         masks: Option<&Masks>,
         stage: &Stage<'_>,
     ) -> Result<PreparedPhotos> {
-        PreparedPhotos::read(self.side, photos, known, masks, stage)
+        self.input.read(photos, known, masks, stage)
     }
 
     pub fn keep(&mut self, ratio: Ratio) {

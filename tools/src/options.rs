@@ -1,4 +1,5 @@
 use crate::{
+    depth::DEPTH_WEIGHTS,
     released::{self, is_of_depth, open_depth},
     session::Session,
 };
@@ -38,7 +39,7 @@ impl Weights {
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
-                refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
+                refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
                 open_depth(weights, true).map(Network::Pixels)
             }
             _ => self.open().map(Network::Tokens),
@@ -101,10 +102,9 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
         return Checkpoint::builtin();
     }
     if is_of_depth(text) {
-        let found = format!("{text}, of Depth Anything 3");
-        let expected = format!(
-            "{expected} of ZipSplat; reconstruct, view, eval, depth, cameras and convert take those of Depth Anything 3"
-        );
+        let found = format!("{text}, of Depth Anything 3 or VGGT");
+        let expected =
+            format!("{expected} of ZipSplat; reconstruct, view, eval, depth, cameras and convert take {DEPTH_WEIGHTS}");
         return Err(Error::argument("weights", found, expected));
     }
     if let Some(path) = released::find(text)? {

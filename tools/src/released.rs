@@ -20,11 +20,11 @@ pub struct Released {
 pub enum Kind {
     /// ZipSplat, converted to f16 safetensors.
     Tokens,
-    /// Depth Anything 3, unconverted.
+    /// Depth Anything 3 or VGGT, unconverted.
     Depth,
 }
 
-pub const RELEASED: [Released; 7] = [
+pub const RELEASED: [Released; 8] = [
     Released {
         name: "zipsplat",
         what: "ZipSplat on DA3-Giant, 1.4 G parameters, by the paper's authors",
@@ -73,6 +73,11 @@ pub const RELEASED: [Released; 7] = [
         terms: FREE,
         bytes: 1_340_000_000,
         ..of_depth("da3metric-large", "depth-anything/DA3METRIC-LARGE", "da3metric-large.safetensors")
+    },
+    Released {
+        what: "VGGT, 1.3 G parameters, of which depth and cameras need 1.16 G",
+        bytes: 5_030_000_000,
+        ..of_depth("vggt-1b", "facebook/VGGT-1B", "vggt-1b.safetensors")
     },
 ];
 
@@ -194,7 +199,7 @@ pub fn is_of_depth(text: &str) -> bool {
 pub fn open_depth(text: &str, whole: bool) -> Result<DepthCheckpoint> {
     if Released::named(text).is_some_and(|released| released.kind != Kind::Depth) {
         let names = RELEASED.iter().filter(|released| released.kind == Kind::Depth).map(|released| released.name);
-        let expected = format!("those of Depth Anything 3: {}, or a file", names.collect::<Vec<_>>().join(", "));
+        let expected = format!("those of a depth network: {}, or a file", names.collect::<Vec<_>>().join(", "));
         return Err(Error::argument("weights", format!("{text}, of ZipSplat"), expected));
     }
     let cached = find(text)?;

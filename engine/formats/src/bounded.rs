@@ -1,4 +1,4 @@
-//! Resizing of whole photos for Depth Anything 3, as OpenCV does it.
+//! Resizing of whole photos for depth networks.
 
 use std::borrow::Borrow;
 
@@ -7,34 +7,59 @@ use rayon::prelude::*;
 use super::{
     Image,
     preprocess::{PATCH, PixelMap, View},
+    resample::resize_bicubic,
 };
 use crate::{Error, Result};
 
-/// Longest side of Depth Anything 3's input, in pixels.
-pub const DEFAULT_BOUND: u32 = 504;
+/// A depth network's way of resizing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fitting {
+    /// Depth Anything 3: the longest side to the bound, as OpenCV.
+    LongestSide,
+    /// VGGT: the width to the bound, as Pillow; taller photos are cropped to a square.
+    Width,
+}
+
+impl Fitting {
+    /// Returns the bound of the networks' authors.
+    pub fn default_bound(self) -> u32 {
+        match self {
+            Self::LongestSide => 504,
+            Self::Width => 518,
+        }
+    }
+}
 
 const A: f64 = -0.75;
 const BITS: i32 = 11;
 
-/// Resizes `count` photos, which `photo` opens, as [`bounded`]. If sizes differ, crops all to the
-/// common center.
+/// Resizes `count` photos, which `photo` opens, by default to the network's bound. If sizes differ,
+/// crops all to the common center.
 ///
 /// # Errors
 /// Those of `photo`, and [`Error::Argument`] if the bound is less than a patch.
 pub fn bounded_views<P: Borrow<Image>>(
     count: usize,
     photo: impl Fn(usize) -> Result<P> + Sync,
-    bound: u32,
+    fitting: Fitting,
+    bound: Option<u32>,
 ) -> Result<Vec<View>> {
+    let bound = bound.unwrap_or(fitting.default_bound());
     let scaled = |i: usize| {
         let photo = photo(i)?;
         let photo = photo.borrow();
-        let image = bounded(photo, bound)?;
+        let image = match fitting {
+            Fitting::LongestSide => bounded(photo, bound)?,
+            Fitting::Width => widened(photo, bound)?,
+        };
         Ok(View { map: PixelMap::resized([photo.width, photo.height], [image.width, image.height]), image })
     };
     let mut views = (0..count).into_par_iter().map(scaled).collect::<Result<Vec<View>>>()?;
     let least = |side: fn(&Image) -> u32| views.iter().map(|view| side(&view.image)).min().unwrap_or_default();
-    let (width, height) = (least(|image| image.width), least(|image| image.height));
+    let (width, mut height) = (least(|image| image.width), least(|image| image.height));
+    if fitting == Fitting::Width {
+        height = height.min(bound / PATCH * PATCH);
+    }
     for View { image, map } in &mut views {
         let (left, top) = ((image.width - width) / 2, (image.height - height) / 2);
         (map.to, map.offset) = ([width, height], [-f64::from(left), -f64::from(top)]);
@@ -49,10 +74,7 @@ pub fn bounded_views<P: Borrow<Image>>(
 /// # Errors
 /// [`Error::Argument`] if the bound is less than a patch.
 pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
-    photo.validate()?;
-    if !(PATCH..=8192).contains(&bound) {
-        return Err(Error::argument("longest side", bound, format!("{PATCH} to 8192 pixels")));
-    }
+    check(photo, bound)?;
     let longest = photo.width.max(photo.height);
     let scale = f64::from(bound) / f64::from(longest);
     let scaled = |side: u32| ((f64::from(side) * scale).round_ties_even() as u32).max(1);
@@ -61,6 +83,24 @@ pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
     let size = [nearest(first.width), nearest(first.height)];
     let grows = size[0] > first.width || size[1] > first.height;
     resized(&first, size, grows)
+}
+
+/// Resizes a photo to width `bound`, rounded down to a multiple of [`PATCH`], and the height to the
+/// nearest multiple, ties to even.
+fn widened(photo: &Image, bound: u32) -> Result<Image> {
+    check(photo, bound)?;
+    let width = bound / PATCH * PATCH;
+    let scale = f64::from(width) / f64::from(photo.width);
+    let patches = (f64::from(photo.height) * scale / f64::from(PATCH)).round_ties_even() as u32;
+    resize_bicubic(photo, width, PATCH * patches.max(1))
+}
+
+fn check(photo: &Image, bound: u32) -> Result<()> {
+    photo.validate()?;
+    if (PATCH..=8192).contains(&bound) {
+        return Ok(());
+    }
+    Err(Error::argument("longest side", bound, format!("{PATCH} to 8192 pixels")))
 }
 
 /// Rounds as OpenCV: means in f32, interpolation in fixed point, exact in f64.

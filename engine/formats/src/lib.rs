@@ -32,7 +32,7 @@ mod tiles;
 mod trajectory;
 mod world;
 
-pub use bounded::{DEFAULT_BOUND, bounded, bounded_views};
+pub use bounded::{Fitting, bounded, bounded_views};
 pub use camera::{
     Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, relative_encoding,
     unit_quaternion,

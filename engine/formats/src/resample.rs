@@ -1,4 +1,4 @@
-//! Image resizing identical to Pillow's LANCZOS.
+//! Image resizing identical to Pillow's LANCZOS and BICUBIC.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -8,21 +8,33 @@ use rayon::prelude::*;
 use super::Image;
 use crate::{Error, Result};
 
+/// Half width and value of a filter.
+type Filter = (f64, fn(f64) -> f64);
+
 /// Resizes as Pillow's `resize(.., LANCZOS)` on 8-bit RGB: two fixed-point passes, rounded to 8
 /// bits between.
 ///
 /// # Errors
 /// [`Error::Argument`] if a side is zero.
 pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
+    resize(image, [width, height], (3.0, lanczos3))
+}
+
+/// As [`resize_lanczos`], with Pillow's BICUBIC.
+pub(crate) fn resize_bicubic(image: &Image, width: u32, height: u32) -> Result<Image> {
+    resize(image, [width, height], (2.0, bicubic))
+}
+
+fn resize(image: &Image, [width, height]: [u32; 2], filter: Filter) -> Result<Image> {
     image.validate()?;
     if width == 0 || height == 0 {
         return Err(Error::argument("image size", format!("{width}x{height}"), "at least 1 pixel on each side"));
     }
     let horizontal = (width != image.width)
-        .then(|| filter_rows(&image.rgb, image.width as usize, &lanczos_taps(image.width, width)));
+        .then(|| filter_rows(&image.rgb, image.width as usize, &taps(image.width, width, filter)));
     let wide = horizontal.as_deref().unwrap_or(&image.rgb);
     let rgb = if height != image.height {
-        filter_columns(wide, 3 * width as usize, &lanczos_taps(image.height, height))
+        filter_columns(wide, 3 * width as usize, &taps(image.height, height, filter))
     } else {
         horizontal.unwrap_or_else(|| image.rgb.clone())
     };
@@ -76,13 +88,13 @@ fn filter_columns(rgb: &[u8], row_len: usize, taps: &[Taps]) -> Vec<u8> {
     filtered
 }
 
-fn lanczos_taps(inputs: u32, outputs: u32) -> Vec<Taps> {
+fn taps(inputs: u32, outputs: u32, (half, filter): Filter) -> Vec<Taps> {
     let scale = f64::from(inputs) / f64::from(outputs);
     let stretch = scale.max(1.0);
     let taps = |output: u32| {
         let center = (f64::from(output) + 0.5) * scale;
-        let Range { start, end } = window(center - 3.0 * stretch, center + 3.0 * stretch, inputs);
-        let weights: Vec<f64> = (start..end).map(|i| lanczos3((i as f64 - center + 0.5) / stretch)).collect();
+        let Range { start, end } = window(center - half * stretch, center + half * stretch, inputs);
+        let weights: Vec<f64> = (start..end).map(|i| filter((i as f64 - center + 0.5) / stretch)).collect();
         let total: f64 = weights.iter().sum();
         // `as` truncates: adding half rounds away from zero.
         let fixed = |w: &f64| (w / total * f64::from(1 << FRACTION_BITS) + 0.5f64.copysign(*w)) as i32;
@@ -94,6 +106,15 @@ fn lanczos_taps(inputs: u32, outputs: u32) -> Vec<Taps> {
 fn lanczos3(x: f64) -> f64 {
     let sinc = |x: f64| if x == 0.0 { 1.0 } else { (PI * x).sin() / (PI * x) };
     if (-3.0..3.0).contains(&x) { sinc(x) * sinc(x / 3.0) } else { 0.0 }
+}
+
+fn bicubic(x: f64) -> f64 {
+    const A: f64 = -0.5;
+    match x.abs() {
+        x if x < 1.0 => ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0,
+        x if x < 2.0 => (((x - 5.0) * x + 8.0) * x - 4.0) * A,
+        _ => 0.0,
+    }
 }
 
 pub(super) fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {

@@ -9,7 +9,7 @@ mod p3p;
 mod rays;
 mod scale;
 
-pub use decoded::decoded_camera;
+pub use decoded::{camera_to_world, decoded_camera};
 pub use focal::share_focal_lengths;
 pub use rays::RayMap;
 pub use scale::scale_between;

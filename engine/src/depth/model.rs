@@ -7,7 +7,7 @@ use crate::{
     gpu::{Arena, Device, Plan, Progress, Recorder, Run},
     ops::{Arithmetic, Parameters},
     reconstruct::{Ratio, TokenSelection, check_cameras, planar, size_of},
-    stages::DepthArchitecture,
+    stages::{DepthArchitecture, Family},
     tune::KernelChoice,
     types::{Camera, Image},
     weights::DepthCheckpoint,
@@ -146,7 +146,9 @@ impl DepthModel {
     ) -> Result<()> {
         let mut pixels = planar(images);
         let area = pixels.len() / (3 * images.len());
-        for (i, plane) in pixels.chunks_mut(area).enumerate() {
+        // VGGT's backbone normalizes.
+        let planes = pixels.chunks_mut(area).enumerate().filter(|_| self.architecture().backbone.family == Family::Da3);
+        for (i, plane) in planes {
             plane.iter_mut().for_each(|value| *value = (*value - MEAN[i % 3]) / DEVIATION[i % 3]);
         }
         run.write(tensors.images, &pixels)?;
@@ -155,6 +157,6 @@ impl DepthModel {
         }
         let cameras = options.cameras.as_deref();
         self.network.stages.backbone.write(run, &tensors.backbone, shape.grid, cameras, &self.parameters)?;
-        tensors.heads.write(run, &pixels)
+        tensors.heads.write(run, &pixels, &self.parameters)
     }
 }

@@ -61,9 +61,9 @@ impl DepthNetwork {
         cameras: bool,
         reference: Option<usize>,
     ) -> Result<DepthShape> {
-        let (a, multi_view) = (&self.architecture, self.architecture.multi_view());
+        let a = &self.architecture;
         let grid = grid(a.backbone.patch_size, views, width as usize, height as usize)?;
-        if cameras && !multi_view {
+        if cameras && a.backbone.camera.is_none() {
             return Err(Error::argument("cameras", "some", format!("none: {} knows no cameras", a.name)));
         }
         let reference = match reference {
@@ -71,7 +71,7 @@ impl DepthNetwork {
                 return Err(Error::argument("reference view", view, format!("below {views}")));
             }
             Some(view) => Reference::View(view),
-            None if views > 2 && multi_view => Reference::Balanced,
+            None if views > 2 && a.backbone.chooses_reference() => Reference::Balanced,
             None => Reference::View(0),
         };
         let (tokens, kept) = TokenSampling::of(grid, chosen)?;

@@ -1,10 +1,10 @@
 use crate::{
     Error, Result,
-    cameras::{CameraEstimate, RayMap, decoded_camera, scale_between},
+    cameras::{CameraEstimate, RayMap, camera_to_world, decoded_camera, scale_between},
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
-        heads::{HeadTensors, ViewTensors},
+        heads::{CameraTensors, HeadTensors, ViewTensors},
     },
     types::Camera,
 };
@@ -108,10 +108,10 @@ impl DepthPrediction {
     /// Estimates cameras from rays; each view may fail.
     ///
     /// # Errors
-    /// [`Error::Argument`] for separate views.
+    /// [`Error::Argument`] without rays.
     pub fn cameras_of_rays(&self) -> Result<Vec<Result<CameraEstimate>>> {
         let camera = |view: &DepthMap| {
-            let rays = view.rays.as_ref().ok_or_else(by_themselves)?;
+            let rays = view.rays.as_ref().ok_or_else(without_rays)?;
             Ok(rays.camera([self.width, self.height]))
         };
         self.views.iter().map(camera).collect()
@@ -148,8 +148,12 @@ fn by_themselves() -> Error {
     Error::argument("cameras of views", "a network that sees each view by itself", "one that sees all views at once")
 }
 
+fn without_rays() -> Error {
+    Error::argument("rays of views", "none", "a network of Depth Anything 3 that sees all views at once")
+}
+
 /// Depth of a view.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct DepthMap {
     /// `[height, width]` along the camera axis, in arbitrary units.
     pub depth: Vec<f32>,
@@ -163,6 +167,8 @@ pub struct DepthMap {
     pub encoding: Option<[f32; 9]>,
     /// `[height, width, GAUSSIAN_VALUES]`, see [`pixel_gaussians`](super::pixel_gaussians).
     pub gaussians: Option<Vec<f32>>,
+    /// `[height, width, 4]`, with a point head: point in the reference view's world, confidence.
+    pub points: Option<Vec<[f32; 4]>>,
 }
 
 pub(super) fn read(
@@ -187,12 +193,19 @@ pub(super) fn read(
             rays: view.rays.map(|tensor| rays(&run.read(tensor)?, grid)).transpose()?,
             sky: view.sky.map(sky).transpose()?,
             encoding: encodings.get(i).copied(),
+            points: heads.points.get(i).map(|view| Ok(points(&run.read(*view)?))).transpose()?,
             gaussians: heads.gaussians.get(i).map(|view| run.read(view.values)).transpose()?,
         })
     };
     let [width, height] = [grid.columns, grid.rows].map(|count| (count * grid.patch_size) as u32);
     let views = heads.views.iter().enumerate().map(view).collect::<Result<_>>()?;
     Ok(DepthPrediction { width, height, views, patch_size: grid.patch_size, patches: None, times, peak_bytes })
+}
+
+fn points(values: &[[f32; 4]]) -> Vec<[f32; 4]> {
+    let length = |y: f32| f64::from(y).abs().exp_m1().copysign(f64::from(y)) as f32;
+    let point = |v: &[f32; 4]| [length(v[0]), length(v[1]), length(v[2]), (1.0 + f64::from(v[3]).exp()) as f32];
+    values.iter().map(point).collect()
 }
 
 fn rays(values: &[f32], grid: ViewGrid) -> Result<RayMap> {
@@ -208,10 +221,16 @@ fn rays(values: &[f32], grid: ViewGrid) -> Result<RayMap> {
 }
 
 fn encodings(run: &Run, heads: &HeadTensors) -> Result<Vec<[f32; 9]>> {
-    let Some(cameras) = heads.cameras else { return Ok(Vec::new()) };
-    let translations: Vec<[f32; 3]> = run.read(cameras.translations)?;
-    let quaternions: Vec<[f32; 4]> = run.read(cameras.quaternions)?;
-    let fovs: Vec<[f32; 2]> = run.read(cameras.fovs)?;
+    let (translations, quaternions, fovs) = match heads.cameras {
+        None => return Ok(Vec::new()),
+        Some(CameraTensors::Decoded { translations, quaternions, fovs }) => (translations, quaternions, fovs),
+        Some(CameraTensors::Iterated { encodings, .. }) => {
+            return Ok(run.read::<[f32; 9]>(encodings)?.iter().map(camera_to_world).collect());
+        }
+    };
+    let translations: Vec<[f32; 3]> = run.read(translations)?;
+    let quaternions: Vec<[f32; 4]> = run.read(quaternions)?;
+    let fovs: Vec<[f32; 2]> = run.read(fovs)?;
     let joined = translations.iter().zip(&quaternions).zip(&fovs);
     Ok(joined
         .map(|((t, q), fov)| [t[0], t[1], t[2], q[0], q[1], q[2], q[3], fov[0].max(0.0), fov[1].max(0.0)])

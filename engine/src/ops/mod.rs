@@ -33,6 +33,6 @@ pub use parameters::{HostParameter, ParameterLayout, ParameterSource, Parameters
 pub use pool::Pool;
 pub use q8::Q8;
 pub(crate) use rows::row_chunks;
-pub use rows::{Columns, Rows, add, gather_rows, join_columns, place_columns, quantize_rows};
+pub use rows::{Columns, Rows, add, gather_rows, join_columns, place_columns, place_groups, quantize_rows};
 pub use tile::{Tile, Tiles};
 pub(crate) use uniform::{UNIFORM_TILE, divides_panels, terms_of};

@@ -15,6 +15,9 @@ pub struct Norm {
 }
 
 impl Norm {
+    /// Keeps all rows.
+    pub const ALL: [usize; 2] = [0, 1];
+
     /// `input` is f32.
     pub fn apply(&self, rec: &mut Recorder, input: Rows, output: Element) -> Rows {
         self.apply_to_sum(rec, input, None, output)
@@ -23,26 +26,26 @@ impl Norm {
     /// Normalizes f32 `input` + `addend`.
     pub fn apply_to_sum(&self, rec: &mut Recorder, input: Rows, addend: Option<Rows>, output: Element) -> Rows {
         let out = Rows::scratch(rec, "normed", input.count, self.width, output);
-        self.record(rec, input, addend, out, 0);
+        self.record(rec, input, addend, out, Self::ALL);
         out
     }
 
-    /// Normalizes f32 `input` + `addend` into columns of `out`. Nonzero `patches` drops each view's
-    /// camera token.
+    /// Normalizes f32 `input` + `addend` into columns of `out`. Drops the `leading` special tokens
+    /// ahead of every `patches` rows.
     pub fn record(
         &self,
         rec: &mut Recorder,
         input: Rows,
         addend: Option<Rows>,
         out: impl Into<Columns>,
-        patches: usize,
+        [leading, patches]: [usize; 2],
     ) {
         let Columns { of: out, first: out_column, .. } = out.into();
-        let (view, input_view) = (patches.max(1), patches.max(1) + patches.min(1));
-        let widths = [input_view * input.row_bytes(), view * input.row_bytes(), view * out.row_bytes()];
+        let input_view = leading + patches;
+        let widths = [input_view * input.row_bytes(), patches * input.row_bytes(), patches * out.row_bytes()];
         let subgroups = row_subgroups(rec.limits());
-        for part in row_chunks(rec, out.count / view, &widths) {
-            let rows = part.start * view..part.end * view;
+        for part in row_chunks(rec, out.count / patches, &widths) {
+            let rows = part.start * patches..part.end * patches;
             let kernel = ops::LayerNorm {
                 source: input.part(part.start * input_view..part.end * input_view).tensor,
                 addend: addend.map_or(self.bias, |addend| addend.part(rows.clone()).tensor),
@@ -54,6 +57,7 @@ impl Norm {
                 out_stride: out.width as u32,
                 out_column: out_column as u32,
                 patches: patches as u32,
+                leading: leading as u32,
                 eps: self.eps,
                 add: addend.is_some(),
                 subgroups,

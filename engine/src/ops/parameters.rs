@@ -81,6 +81,15 @@ impl ParameterLayout {
         Self { q8, ..self }
     }
 
+    /// Declares in f32.
+    pub fn exactly<T>(&mut self, declare: impl FnOnce(&mut Self) -> T) -> T {
+        let exact = self.arithmetic.exact();
+        let arithmetic = std::mem::replace(&mut self.arithmetic, exact);
+        let declared = declare(self);
+        self.arithmetic = arithmetic;
+        declared
+    }
+
     pub fn attention(&self) -> AttentionKernel {
         match self.arithmetic {
             Arithmetic { attention: Some(units), .. } => AttentionKernel::Matrix(units),

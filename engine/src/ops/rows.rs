@@ -116,26 +116,33 @@ pub fn quantize_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
 
 /// Writes f32 columns of `out` from `column`.
 pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize) {
-    let kernel = ops::PlaceColumns {
-        source: source.tensor,
-        out: out.tensor,
-        count: source.values() as u32,
-        width: source.width as u32,
-        out_width: out.width as u32,
-        out_column: column as u32,
-        output: out.element,
-    };
-    rec.dispatch(kernel, source.values());
+    place_groups(rec, source, [0, 1, 1], out, column);
+}
+
+/// Writes f32 columns of `out`, from `column`, by `kept` rows from `first` of each `group`.
+pub fn place_groups(rec: &mut Recorder, source: Rows, [first, kept, group]: [usize; 3], out: Rows, column: usize) {
+    for part in row_chunks(rec, source.count / group, &[group * source.row_bytes(), kept * out.row_bytes()]) {
+        let count = part.len() * kept * source.width;
+        let kernel = ops::PlaceColumns {
+            source: source.part(part.start * group..part.end * group).tensor,
+            out: out.part(part.start * kept..part.end * kept).tensor,
+            count: count as u32,
+            width: source.width as u32,
+            out_width: out.width as u32,
+            out_column: column as u32,
+            first: first as u32,
+            kept: kept as u32,
+            group: group as u32,
+            output: out.element,
+        };
+        rec.dispatch(kernel, count);
+    }
 }
 
 /// Concatenates f32 columns.
 pub fn join_columns(rec: &mut Recorder, [left, right]: [Rows; 2], output: Element) -> Rows {
     let out = Rows::scratch(rec, "joined", left.count, left.width + right.width, output);
-    for part in row_chunks(rec, out.count, &[left, right, out].map(|rows| rows.row_bytes())) {
-        let out = out.part(part.clone());
-        for (source, column) in [(left, 0), (right, left.width)] {
-            place_columns(rec, source.part(part.clone()), out, column);
-        }
-    }
+    place_columns(rec, left, out, 0);
+    place_columns(rec, right, out, left.width);
     out
 }

@@ -134,6 +134,9 @@ impl Shape {
         cameras: bool,
     ) -> Result<Self> {
         let grid = grid(architecture.patch_size, views, width as usize, height as usize)?;
+        if cameras && !architecture.takes_cameras() {
+            return Err(Error::argument("cameras", "some", format!("none: {} knows no cameras", architecture.name)));
+        }
         let (tokens, kept) = TokenSampling::of(grid, chosen)?;
         Ok(Self { grid, tokens, kept, cameras, kv_pool: 1 })
     }

@@ -9,7 +9,7 @@ pub mod lpips;
 pub mod render;
 
 pub use architecture::{
-    Architecture, BackboneArchitecture, CameraEncoderArchitecture, DEPTH_MODELS, DepthArchitecture, RECIPES, VARIANTS,
+    Architecture, BackboneArchitecture, CameraArchitecture, DEPTH_MODELS, DepthArchitecture, Family, RECIPES, VARIANTS,
 };
 pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
 
@@ -20,13 +20,13 @@ use crate::{
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     types::Scene,
 };
-use backbone::{Da3, DepthBackbone};
+use backbone::{DepthBackbone, TokenBackbone};
 use fuse::Fuse;
 use gaussians::Gaussians;
 use heads::DepthHeads;
 
 pub struct Stages {
-    pub backbone: Da3,
+    pub backbone: TokenBackbone,
     pub fuse: Fuse,
     pub gaussians: Gaussians,
 }
@@ -34,7 +34,7 @@ pub struct Stages {
 impl Stages {
     /// Names parameters as the reference's `state_dict`.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        Self { backbone: Da3::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
+        Self { backbone: TokenBackbone::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
     }
 }
 
@@ -175,7 +175,8 @@ fn coeffs_of(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }
 
-fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear) -> Rows {
+/// `normalized` applies ImageNet's means and deviations.
+fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear, normalized: bool) -> Rows {
     let (view, patches) = (3 * grid.patch_size * grid.patch_size * grid.patches(), grid.patches());
     let out = Rows::scratch(rec, "embedded", grid.tokens(), linear.columns, Element::F32);
     let widths = [4 * view, linear.element().bytes() * patches * linear.inner, patches * out.row_bytes()];
@@ -189,6 +190,7 @@ fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Li
             width: (grid.columns * grid.patch_size) as u32,
             stride: rows.width as u32,
             patch: grid.patch_size as u32,
+            normalized,
             output: rows.element,
         };
         rec.dispatch_groups(kernel, rows.count);

@@ -8,6 +8,8 @@ use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, safetensors};
 use crate::{Error, Result, stages::MAX_DEPTH};
 
 const BACKBONE: &str = "model.backbone.pretrained";
+/// Of VGGT.
+const AGGREGATOR: &str = "aggregator.";
 const GAUSSIANS: &str = "model.gs_head.";
 
 /// A [`DepthArchitecture`] with its tensors.
@@ -34,7 +36,8 @@ impl DepthCheckpoint {
             None => {
                 let path = Path::new(text);
                 let read = || safetensors::contents(path, &Bytes::open(path).ok()?).ok();
-                read().is_some_and(|contents| contents.tensors.keys().any(|name| name.starts_with(BACKBONE)))
+                let known = |name: &String| name.starts_with(BACKBONE) || name.starts_with(AGGREGATOR);
+                read().is_some_and(|contents| contents.tensors.keys().any(known))
             }
         }
     }
@@ -126,18 +129,28 @@ fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArc
 }
 
 fn is_unused(name: &str) -> bool {
-    let tails = [GAUSSIANS, "model.head.scratch.output_conv1_aux.", "model.head.scratch.output_conv2_aux."];
+    let tails = [
+        GAUSSIANS,
+        "model.head.scratch.output_conv1_aux.",
+        "model.head.scratch.output_conv2_aux.",
+        "aggregator.patch_embed.mask_token",
+        "point_head.",
+        "track_head.",
+    ];
     tails.iter().any(|tail| name.starts_with(tail))
 }
 
 fn inferred(contents: &Contents, path: &Path) -> Result<DepthArchitecture> {
+    if contents.tensors.keys().any(|name| name.starts_with(AGGREGATOR)) {
+        return DepthArchitecture::named("vggt-1b");
+    }
     let block = |i: usize, part: &str| format!("{BACKBONE}.blocks.{i}.{part}");
     let width = contents.axis(&format!("{BACKBONE}.norm.weight"), 0);
     let depth = (0..MAX_DEPTH).take_while(|&i| contents.axis(&block(i, "norm1.weight"), 0).is_some()).count();
     let multi_view = contents.axis(&format!("{BACKBONE}.camera_token"), 0).is_some();
     let gated = contents.axis(&block(0, "mlp.w3.weight"), 0).is_some();
     let mut fitting = Vec::new();
-    for name in DEPTH_MODELS {
+    for name in DEPTH_MODELS.into_iter().filter(|name| name.starts_with("da3")) {
         let known = DepthArchitecture::named(name)?;
         let b = &known.backbone;
         let same =

@@ -19,6 +19,15 @@ impl Images {
         Images { values, views: shape[0], height: shape[2], width: shape[3] }
     }
 
+    /// Normalizes channels by ImageNet's means and deviations.
+    pub fn normalized(&self) -> Images {
+        let (means, deviations) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
+        let [means, deviations] = [means, deviations].map(|values: [f32; 3]| values.map(f64::from));
+        let channel = |i: usize| i / (self.height * self.width) % 3;
+        let value = |(i, x): (usize, &f64)| (x - means[channel(i)]) / deviations[channel(i)];
+        Images { values: self.values.iter().enumerate().map(value).collect(), ..*self }
+    }
+
     /// Returns patch rows and columns.
     pub fn grid(&self, patch: usize) -> [usize; 2] {
         [self.height / patch, self.width / patch]

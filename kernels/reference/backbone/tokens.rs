@@ -8,11 +8,22 @@ pub fn embed(weights: &Scope, images: &Images, patch: usize, width: usize) -> Ve
     let [rows, columns] = images.grid(patch);
     let patches = weights.linear("patch_embed.proj", &patchify(images, patch));
     let positions = interpolate(&widen(weights.get("pos_embed")), width, rows, columns);
-    tokens(&patches, &widen(weights.get("cls_token")), &positions)
+    let class = widen(weights.get("cls_token"));
+    tokens(&patches, images.views, [&class; 2], 0, Some(&positions))
 }
 
-/// Adds `positions [1 + patches, width]` to class token and `patches [views, patches, width]`.
-pub fn tokens(patches: &[f64], class: &[f64], positions: &[f64]) -> Vec<f64> {
-    let views = patches.chunks(positions.len() - class.len());
-    views.flat_map(|patches| add(&[class, patches].concat(), positions)).collect()
+/// Places `special` tokens `[leading, width]`, of the reference view and of others, ahead of the
+/// patches of each view, and adds `positions [leading + patches, width]`.
+pub fn tokens(
+    patches: &[f64],
+    views: usize,
+    special: [&[f64]; 2],
+    reference: usize,
+    positions: Option<&[f64]>,
+) -> Vec<f64> {
+    let view = |(i, patches): (usize, &[f64])| {
+        let tokens = [special[usize::from(i != reference)], patches].concat();
+        positions.map_or_else(|| tokens.clone(), |positions| add(&tokens, positions))
+    };
+    patches.chunks((patches.len() / views.max(1)).max(1)).enumerate().flat_map(view).collect()
 }

@@ -124,7 +124,7 @@ impl Values for Problem {
         let source = map(trial.input(&self.x), self.size, self.channels);
         let result = map(out, self.out_size(), self.columns);
         let residual = self.residual.as_ref().map(|residual| map(trial.input(residual), self.out_size(), self.columns));
-        let how = ConvolutionOptions { rectified: self.rectified, gelu: false, residual };
+        let how = ConvolutionOptions { rectified: self.rectified, residual, ..ConvolutionOptions::default() };
         Convolution::of(layer, self.shape).record_into(&mut trial.rec, source, result, how);
         trial.result(out)
     }

@@ -45,7 +45,7 @@ impl Values for Problem {
         let (source, out) = (trial.input(&self.source), trial.output::<f32>(count));
         let gradient = self.gradient.as_ref().map_or(source, |gradient| trial.input(gradient));
         let backward = self.gradient.is_some();
-        trial.rec.dispatch(Gelu { source, gradient, out, count: count as u32, backward }, count);
+        trial.rec.dispatch(Gelu { source, gradient, out, count: count as u32, backward, silu: false }, count);
         trial.result(out)
     }
 

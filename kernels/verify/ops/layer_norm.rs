@@ -139,7 +139,7 @@ impl Values for Problem {
         let mut input = |values: &Vec<f32>| rows(trial.input(values), Element::F32);
         let (source, addend) = (input(&self.x), self.addend.as_ref().map(input));
         let out = trial.output_of(mode.factor, self.x.len());
-        norm.record(&mut trial.rec, source, addend, rows(out, mode.factor), 0);
+        norm.record(&mut trial.rec, source, addend, rows(out, mode.factor), Norm::ALL);
         trial.result_of(mode.factor, out)
     }
 

@@ -4,11 +4,11 @@ use crate::{
 };
 use zipsplat::{
     ops::{Attention, AttentionKernel, Heads, Norm, Part, Rotary},
-    stages::backbone::{interpolate_positions, rotary_tables},
+    stages::backbone::{interpolate_antialiased, interpolate_positions, rotary_tables},
 };
 use zipsplat_reference::{
     backbone::{
-        positions::interpolate,
+        positions,
         rope::{global_positions, local_positions, rope},
     },
     ops::layer_norm::layer_norm,
@@ -166,9 +166,12 @@ impl Values for Problem {
 }
 
 /// Resampled in f64 on the host; only the f32 rounding differs.
+#[derive(Clone, Copy)]
 struct Embedding {
     rows: usize,
     columns: usize,
+    /// As VGGT.
+    antialiased: bool,
 }
 
 const SIDE: usize = 37;
@@ -186,13 +189,15 @@ impl Values for Embedding {
 
     fn compute(&self, _: &Device, _: Mode) -> Result<Vec<f32>> {
         let learned = Noise::new(8).values((1 + SIDE * SIDE) * WIDTH);
-        Ok(interpolate_positions(&learned, SIDE, WIDTH, self.rows, self.columns))
+        let interpolate = if self.antialiased { interpolate_antialiased } else { interpolate_positions };
+        Ok(interpolate(&learned, SIDE, WIDTH, self.rows, self.columns))
     }
 
     fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let learned = widen(&Noise::new(8).values((1 + SIDE * SIDE) * WIDTH));
+        let interpolate = if self.antialiased { positions::interpolate_antialiased } else { positions::interpolate };
         let truth = interpolate(&learned, WIDTH, self.rows, self.columns);
-        // 16 f64 products with a total magnitude of at most 1.6.
+        // f64 products with a total magnitude of at most 1.6.
         let bounds = truth.iter().map(|x| U * x.abs() + 1e-13).collect();
         [truth, bounds]
     }
@@ -258,7 +263,12 @@ pub fn area() -> Area {
         let catches = if rows * columns > 1 { catches.and(&[NeighborPatch]) } else { catches };
         let catches = if rows > 1 && columns > 1 { catches.and(&[Transposed]) } else { catches };
         let catches = if [rows, columns] != [SIDE; 2] { catches.and(&[NotInterpolated]) } else { catches };
-        area.add(name, rows * columns, catches, move || Embedding { rows, columns });
+        let plain = Embedding { rows, columns, antialiased: false };
+        area.add(format!("{name}, antialiased"), rows * columns, catches.clone(), move || Embedding {
+            antialiased: true,
+            ..plain
+        });
+        area.add(name, rows * columns, catches, move || plain);
     }
     area
 }

@@ -26,6 +26,7 @@ fn equals_the_reference() {
                 width: width as u32,
                 stride: stride as u32,
                 patch: patch as u32,
+                normalized: false,
                 output,
             };
             case.rec.dispatch_groups(kernel, len / stride);
@@ -34,4 +35,28 @@ fn equals_the_reference() {
             assert_same(&name, &case.result_of(output, out).unwrap(), &stored(output, rounded(&padded)));
         }
     }
+}
+
+#[test]
+fn normalizes_channels() {
+    let (patch, [height, width]) = (14, [28, 42]);
+    let values: Vec<f32> = random(1, 3 * height * width).iter().map(|x| 0.5 + 0.5 * x).collect();
+    let images = Images { values: widen(&values), views: 1, height, width };
+    let mut case = plan();
+    let out = case.output::<f32>(values.len());
+    let (rows, row) = (6, 3 * patch * patch);
+    let kernel = Patchify {
+        images: case.input(&values),
+        out,
+        rows,
+        height: height as u32,
+        width: width as u32,
+        stride: row as u32,
+        patch: patch as u32,
+        normalized: true,
+        output: Element::F32,
+    };
+    case.rec.dispatch_groups(kernel, rows);
+    let truth = patchify(&images.normalized(), patch);
+    assert_close("normalized", &case.result::<f32>(out).unwrap(), &truth, Tolerance::ELEMENTWISE);
 }

@@ -12,6 +12,7 @@ struct How {
     rectified: bool,
     gelu: bool,
     add: bool,
+    add_rectified: bool,
 }
 
 /// Checks output lines from `lines.0` on, with source lines from `lines.1` on.
@@ -52,6 +53,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
         rectified: how.rectified,
         gelu: how.gelu,
         add: how.add,
+        add_rectified: how.add_rectified,
     };
     let across = columns.div_ceil(4 * device().limits().subgroup_size as usize);
     case.rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across);
@@ -59,8 +61,9 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     let seen: Vec<f64> = widen(&source).into_iter().map(|x| if how.rectified { x.max(0.0) } else { x }).collect();
     let whole = convolution(&seen, [width, channels], shape, &weight, &bias);
     let active = whole[first * columns..].iter().map(|&x| if how.gelu { activation::gelu(x) } else { x });
+    let kept = |r: f32| f64::from(if how.add_rectified { r.max(0.0) } else { r });
     let truth: Vec<f64> =
-        if how.add { active.zip(&residual).map(|(x, &r)| x + f64::from(r)).collect() } else { active.collect() };
+        if how.add { active.zip(&residual).map(|(x, &r)| x + kept(r)).collect() } else { active.collect() };
     let name = format!("{shape:?} of {height} x {width} x {channels} to {columns} from {lines:?} on, {how:?}");
     assert_close(&name, &case.result::<f32>(out).unwrap(), &truth, Tolerance::sum_of(inner));
 
@@ -92,6 +95,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
             source_first: lines[1] as u32,
             gelu: how.gelu,
             add: how.add,
+            add_rectified: how.add_rectified,
             terms,
             tile_rows,
             vectors,
@@ -121,6 +125,7 @@ fn equals_the_reference() {
     let plain = How::default();
     check([7, 9], [4, 5], [3, 1], plain, [0, 0]);
     check([5, 4], [64, 70], [3, 1], How { rectified: true, add: true, ..plain }, [0, 0]);
+    check([5, 4], [16, 20], [3, 1], How { add: true, add_rectified: true, ..plain }, [0, 0]);
     check([7, 6], [12, 24], [3, 2], plain, [0, 0]);
     check([6, 5], [8, 16], [3, 2], How { rectified: true, ..plain }, [0, 0]);
     check([3, 11], [32, 2], [1, 1], How { rectified: true, ..plain }, [0, 0]);

@@ -1,4 +1,4 @@
-//! Layer normalization beyond the catalog: goldens, camera tokens, strided rows.
+//! Layer normalization beyond the catalog: goldens, special tokens, strided rows.
 
 use crate::case::*;
 use zipsplat::ops::Norm;
@@ -29,23 +29,29 @@ fn equals_the_goldens() {
 }
 
 #[test]
-fn skips_camera_tokens_and_writes_between_other_columns() {
+fn skips_special_tokens_and_writes_between_other_columns() {
     let (patches, width, stride, column) = (6, 20, 53, 30);
     let (weight, bias) = (random(6, width), random(7, width));
     // The narrow limit splits the rows into parts of 64 views.
-    for (views, max_binding_bytes) in [(1, u64::MAX), (3, u64::MAX), (150, 100 << 10)] {
-        let x = random(8, views * (1 + patches) * width);
+    for (views, leading, max_binding_bytes) in [(1, 1, u64::MAX), (3, 5, u64::MAX), (150, 1, 100 << 10)] {
+        let x = random(8, views * (leading + patches) * width);
         let limits = device().limits();
         let max_binding_bytes = limits.max_binding_bytes.min(max_binding_bytes);
         let mut case = plan_within(&Limits { max_binding_bytes, ..limits.clone() });
         let norm = norm(&mut case, &weight, &bias, 1e-5);
         let rows = views * patches;
-        let input = Rows::new(case.input(&x), views * (1 + patches), width);
+        let input = Rows::new(case.input(&x), views * (leading + patches), width);
         let out = case.output::<f32>(rows * stride);
-        norm.record(&mut case.rec, input, None, Rows::new(out, rows, stride).columns(column, width), patches);
+        norm.record(
+            &mut case.rec,
+            input,
+            None,
+            Rows::new(out, rows, stride).columns(column, width),
+            [leading, patches],
+        );
         let got: Vec<f32> = case.result(out).unwrap();
 
-        let tokens = x.chunks(width).enumerate().filter(|(row, _)| row % (1 + patches) != 0);
+        let tokens = x.chunks(width).enumerate().filter(|(row, _)| row % (leading + patches) >= leading);
         let kept: Vec<f32> = tokens.flat_map(|(_, token)| token).copied().collect();
         let truth = layer_norm(&widen(&kept), &weight, &bias, 1e-5);
         let written: Vec<f32> = got.chunks(stride).flat_map(|row| &row[column..column + width]).copied().collect();

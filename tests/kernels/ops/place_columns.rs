@@ -1,5 +1,5 @@
 use crate::case::*;
-use zipsplat::{kernels::ops::PlaceColumns, ops};
+use zipsplat::ops;
 use zipsplat_tests::reference::ops::place_columns::join_columns;
 
 #[test]
@@ -37,12 +37,25 @@ fn leaves_other_columns_alone() {
     let source = random(3, 6);
     let mut case = plan();
     let out = case.output::<f32>(3 * 5);
-    let (source_tensor, output) = (case.input(&source), Element::F32);
-    let kernel = PlaceColumns { source: source_tensor, out, count: 6, width: 2, out_width: 5, out_column: 1, output };
-    case.rec.dispatch(kernel, 6u32);
+    let input = Rows::new(case.input(&source), 3, 2);
+    ops::place_columns(&mut case.rec, input, Rows::new(out, 3, 5), 1);
     let got: Vec<f32> = case.result(out).unwrap();
     for (row, source) in got.chunks(5).zip(source.chunks(2)) {
         assert_same("columns 1 and 2", &row[1..3], source);
         assert!(row[0].is_nan() && row[3].is_nan() && row[4].is_nan(), "{row:?}");
     }
+}
+
+#[test]
+fn takes_rows_of_groups() {
+    let ([groups, group, width], [first, kept]) = ([3, 7, 5], [2, 4]);
+    let source = random(4, groups * group * width);
+    let mut case = plan();
+    let out = case.output::<f32>(groups * kept * width);
+    let input = Rows::new(case.input(&source), groups * group, width);
+    let result = Rows::new(out, groups * kept, width);
+    ops::place_groups(&mut case.rec, input, [first, kept, group], result, 0);
+    let of_group = |rows: &[f32]| rows[first * width..(first + kept) * width].to_vec();
+    let truth: Vec<f32> = source.chunks(group * width).flat_map(of_group).collect();
+    assert_same("rows", &case.result::<f32>(out).unwrap(), &truth);
 }

@@ -35,7 +35,7 @@ pub struct Searching {
     #[arg(long, value_enum, value_name = "WHICH")]
     pub matching: Option<Matching>,
     /// Longer side of the photos for camera estimation; COLMAP does not enlarge photos [default:
-    /// 1600, or 504 for Depth Anything 3]
+    /// 1600, 504 for Depth Anything 3, 518 for VGGT]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
     pub matching_size: Option<u32>,
     #[command(flatten)]

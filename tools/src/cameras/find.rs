@@ -23,6 +23,7 @@ use std::{
 use tempfile::NamedTempFile;
 use zipsplat::{
     Error, Result,
+    stages::Family,
     types::{
         Camera, Masks,
         poses::{Capture, CaptureView, read_cloud},
@@ -34,6 +35,7 @@ const COLMAP: &str = "colmap";
 /// Earlier spelling of [`COLMAP`].
 const FIND: &str = "find";
 const DA3: &str = "da3";
+const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
@@ -52,7 +54,7 @@ pub struct Finding {
     pub search: Searching,
     #[command(flatten)]
     pub cameras: CamerasFrom,
-    /// Weights of Depth Anything 3 for --cameras da3, as for `depth`
+    /// Weights for --cameras da3 and vggt, as for `depth`
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     pub depth_weights: Option<String>,
 }
@@ -63,6 +65,8 @@ pub enum Finder {
     Colmap,
     /// Depth Anything 3, in one pass
     Da3,
+    /// VGGT, in one pass
+    Vggt,
 }
 
 pub struct KnownCameras {
@@ -106,11 +110,20 @@ impl Finding {
 }
 
 impl Finder {
-    /// A file of that name is `./da3`.
+    /// Files of those names are `./da3` and `./vggt`.
     pub fn named(poses: &Path) -> Option<Self> {
-        let finders = [(FIND, Self::Colmap), (COLMAP, Self::Colmap), (DA3, Self::Da3)];
+        let finders = [(FIND, Self::Colmap), (COLMAP, Self::Colmap), (DA3, Self::Da3), (VGGT, Self::Vggt)];
         let mut finders = finders.into_iter().filter(|(word, _)| *word != COLMAP || !poses.exists());
         finders.find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
+    }
+
+    /// Family of the network, if any.
+    pub fn family(self) -> Option<Family> {
+        match self {
+            Self::Colmap => None,
+            Self::Da3 => Some(Family::Da3),
+            Self::Vggt => Some(Family::Vggt),
+        }
     }
 
     /// Frames are named after files, or after paths if files share a name.
@@ -121,9 +134,9 @@ impl Finder {
         finding: &Finding,
     ) -> Result<(Capture, EstimatedCameras)> {
         photos.iter().try_for_each(|photo| text(Path::new(photo.file_name().unwrap_or_default())).map(drop))?;
-        match self {
-            Self::Colmap => EstimatedCameras::by_colmap(session, photos, &finding.search),
-            Self::Da3 => EstimatedCameras::by_network(session, photos, finding),
+        match self.family() {
+            None => EstimatedCameras::by_colmap(session, photos, &finding.search),
+            Some(family) => EstimatedCameras::by_network(session, photos, finding, family),
         }
     }
 }

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     depth::DepthOptions,
+    stages::Family,
     types::{poses::Capture, write_points},
 };
 
@@ -19,10 +20,19 @@ impl EstimatedCameras {
         session: &mut Session<'_>,
         photos: &[PathBuf],
         finding: &Finding,
+        family: Family,
     ) -> Result<(Capture, Self)> {
-        let expected = "--depth-weights NAME|FILE, weights of Depth Anything 3: da3-small, or a model.safetensors";
-        let none = || Error::argument("cameras of a network", "no weights", expected);
+        let (of, name) = match family {
+            Family::Da3 => ("Depth Anything 3", "da3-small"),
+            Family::Vggt => ("VGGT", "vggt-1b"),
+        };
+        let expected = format!("--depth-weights NAME|FILE, weights of {of}: {name}, or a model.safetensors");
+        let none = || Error::argument("cameras of a network", "no weights", &expected);
         let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
+        let network = checkpoint.architecture();
+        if network.backbone.family != family {
+            return Err(Error::argument("cameras of a network", &network.name, expected));
+        }
         let arithmetic = &ArithmeticOption::default();
         let (side, cameras, request) = (finding.search.matching_size, finding.cameras, DepthOptions::default());
         let masks = finding.masks();

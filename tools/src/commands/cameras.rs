@@ -13,16 +13,16 @@ use serde_json::json;
 use std::{path::PathBuf, time::Duration};
 use zipsplat::Result;
 
-/// Estimate cameras of photos with COLMAP or Depth Anything 3
+/// Estimate cameras of photos with COLMAP, Depth Anything 3 or VGGT
 ///
 /// Runs COLMAP 3 or 4, or pycolmap, on the CPU. Writes transforms.json with the lens distortion,
 /// points.ply for `refine --init points`, and colmap.log. Keeps the largest component of connected
 /// photos. Retries up to twice, with other seeds and looser thresholds, if that has less than four
 /// fifths of the photos (of up to 12 photos: not all).
 ///
-/// --method da3 handles two photos, little overlap and little texture, but is less accurate where
-/// COLMAP succeeds. It needs --weights and no other program. points.ply then has all confident
-/// pixels, in the network's unit.
+/// --method da3 and vggt handle two photos, little overlap and little texture, but are less
+/// accurate where COLMAP succeeds. They need --weights and no other program. points.ply then has
+/// all confident pixels, in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json
@@ -44,8 +44,8 @@ pub struct Cameras {
     /// Program or network that estimates the cameras
     #[arg(long, value_enum, value_name = "FINDER", default_value = "colmap")]
     method: Finder,
-    /// Weights of Depth Anything 3, as for `depth`
-    #[arg(long, value_name = "NAME|PATH|seeded:NAME", required_if_eq("method", "da3"))]
+    /// Weights of the network, as for `depth`
+    #[arg(long, value_name = "NAME|PATH|seeded:NAME", required_if_eq_any([("method", "da3"), ("method", "vggt")]))]
     weights: Option<String>,
     #[command(flatten)]
     cameras: CamerasFrom,
@@ -61,7 +61,7 @@ impl Cameras {
         place.check(self.overwrite)?;
         self.model.check(self.overwrite)?;
         let unused = self.method == Finder::Colmap && self.weights.is_some();
-        refuse("--weights", unused, "COLMAP, which needs none", "--method da3")?;
+        refuse("--weights", unused, "COLMAP, which needs none", "--method da3 or vggt")?;
         let (photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
         let photos = photos::spread(photos, self.views);
         let (search, depth_weights) = (self.search.clone(), self.weights.clone());

@@ -51,8 +51,8 @@ pub struct Refine {
     #[command(flatten)]
     input: SceneInput,
     /// Cameras: transforms.json, or a COLMAP model's folder, matched by file name; with --init
-    /// points also colmap or da3 (Depth Anything 3)
-    #[arg(long, value_name = "PATH|colmap|da3")]
+    /// points also colmap, or da3 or vggt (by --depth-weights)
+    #[arg(long, value_name = "PATH|colmap|da3|vggt")]
     cameras: PathBuf,
     #[command(flatten)]
     finding: Finding,

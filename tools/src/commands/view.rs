@@ -33,8 +33,8 @@ use zipsplat::{
 /// refined live with --refine. -o writes a self-contained page. Otherwise the command serves the
 /// page to anyone with the printed address until Ctrl-C.
 ///
-/// With weights of Depth Anything 3, each confident pixel becomes a Gaussian, at the --ratios;
-/// refine these with `reconstruct --refine`.
+/// With weights of Depth Anything 3 or VGGT, each confident pixel becomes a Gaussian, at the
+/// --ratios; refine these with `reconstruct --refine`.
 #[derive(Args)]
 #[command(
     mut_args(with_cameras),

@@ -5,7 +5,7 @@ use super::{
     photos::{Photographed, input_cameras},
 };
 use crate::{
-    depth::{PreparedPhotos, check_finds_cameras},
+    depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras},
     options::refuse,
     session::{Session, Stage},
     video::FrameFolder,
@@ -42,7 +42,7 @@ impl FromPhotos {
         ] {
             let expected =
                 if option == "--ratio" { "weights of ZipSplat; --ratios R,R,.." } else { "weights of ZipSplat" };
-            refuse(option, given, "weights of Depth Anything 3", expected)?;
+            refuse(option, given, DEPTH_WEIGHTS, expected)?;
         }
         self.quality.check_pixels(checkpoint)?;
         if poses.is_none() {
@@ -51,12 +51,12 @@ impl FromPhotos {
         let Photographed { photos, known, folder } = self.photographed(session, paths, poses)?;
         let poses = known.as_ref().map(|known| &known.poses);
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        let (side, masks) = (self.quality.side(), self.finding.masks());
-        let (prepared, _) = session
-            .stage("load photos", |stage| PreparedPhotos::read(side, &photos, &frames, masks.as_ref(), stage))?;
+        let masks = self.finding.masks();
+        let options = PredictorOptions { masks, ..self.quality.predictor_options(checkpoint) };
+        let (prepared, _) = session.stage("load photos", |stage| options.read(&photos, &frames, stage))?;
         let ratios = self.ratios(prepared.patches(checkpoint.architecture().backbone.patch_size))?;
         let device = session.device()?;
-        let mut predictor = self.quality.predictor_options(checkpoint).open(session, &device)?;
+        let mut predictor = options.open(session, &device)?;
         let (mut scenes, mut cameras) = (Vec::new(), Vec::new());
         for ratio in ratios {
             predictor.keep(Ratio::Fixed(ratio));

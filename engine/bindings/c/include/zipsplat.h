@@ -820,7 +820,7 @@ ZS_ENUM(zs_camera_source) {
     ZS_CAMERA_SOURCE_RAYS = 1,
 };
 
-// A Depth Anything 3 network on a device.
+// A Depth Anything 3 or VGGT network on a device.
 typedef struct zs_depth_model zs_depth_model;
 
 // Depth and cameras of photos.
@@ -858,8 +858,9 @@ typedef struct zs_depth_model_info {
 typedef struct zs_depth_options {
     // sizeof(zs_depth_options).
     uint32_t struct_size;
-    // Longer side of the network's input, 14 to 8192 pixels; 0 is 504. Each side is rounded to a
-    // multiple of 14. Photos of different shapes are cropped to their common center.
+    // Longer side of the network's input, for VGGT its width, 14 to 8192 pixels; 0 is 504, for
+    // VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped to
+    // their common center.
     uint32_t input_size;
     // Source of estimated cameras.
     zs_camera_source camera_source;
@@ -909,7 +910,7 @@ typedef struct zs_depth_map {
     const struct zs_camera *image_camera;
 } zs_depth_map;
 
-// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
+// Loads Depth Anything 3 or VGGT: a released model.safetensors at `path`, or random weights for
 // "seeded:NAME", such as "seeded:da3-small".
 zs_status zs_depth_model_load(const struct zs_device *device,
                               const char *path,

@@ -20,13 +20,13 @@ use zipsplat::{
     cameras::share_focal_lengths,
     tune::KernelChoice,
     types::{
-        DEFAULT_BOUND, bounded_views,
+        bounded_views,
         preprocess::{PixelMap, View},
     },
     weights::DepthCheckpoint,
 };
 
-/// A Depth Anything 3 network on a device.
+/// A Depth Anything 3 or VGGT network on a device.
 pub struct zs_depth_model {
     model: DepthModel,
     precision: Precision,
@@ -93,8 +93,9 @@ pub struct zs_depth_model_info {
 pub struct zs_depth_options {
     /// sizeof(zs_depth_options).
     pub struct_size: u32,
-    /// Longer side of the network's input, 14 to 8192 pixels; 0 is 504. Each side is rounded to a
-    /// multiple of 14. Photos of different shapes are cropped to their common center.
+    /// Longer side of the network's input, for VGGT its width, 14 to 8192 pixels; 0 is 504, for
+    /// VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped to
+    /// their common center.
     pub input_size: u32,
     /// Source of estimated cameras.
     pub camera_source: zs_camera_source_value,
@@ -150,7 +151,7 @@ pub struct zs_depth_map {
 
 versioned!(zs_depth_model_options, zs_depth_model_info, zs_depth_options, zs_depth_result_info, zs_depth_map);
 
-/// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
+/// Loads Depth Anything 3 or VGGT: a released model.safetensors at `path`, or random weights for
 /// "seeded:NAME", such as "seeded:da3-small".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_load(
@@ -228,8 +229,8 @@ pub unsafe extern "C" fn zs_depth_predict(
         let known: Vec<Camera> = known.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         // SAFETY: the caller's pixels.
         let photo = |i: usize| unsafe { images[i].image(&format!("image {i}")) };
-        let input_size = if options.input_size == 0 { DEFAULT_BOUND } else { options.input_size };
-        let views = bounded_views(image_count, photo, input_size)?;
+        let input_size = Some(options.input_size).filter(|size| *size > 0);
+        let views = bounded_views(image_count, photo, model.architecture().fitting(), input_size)?;
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
         let request = DepthOptions { cameras: known_cameras.clone(), ..DepthOptions::default() };

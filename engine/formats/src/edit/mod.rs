@@ -32,7 +32,7 @@ pub enum Edit {
     MinNeighbors(usize, f64),
     /// Keeps centers inside the pictures of at least this many cameras. Occlusion is ignored.
     MinViews(usize),
-    /// Drops floaters: opacities below 0.02; Gaussians without another center within 8 times their
+    /// Drops floaters: opacities below 0.01; Gaussians without another center within 8 times their
     /// largest standard deviation; with cameras also centers outside all their pictures, doubled in
     /// width and height.
     Clean,

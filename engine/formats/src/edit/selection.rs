@@ -59,7 +59,7 @@ pub(super) fn views(scene: &mut Scene, cameras: &[Camera], count: usize) -> Stri
 }
 
 /// These limits keep the held-out PSNR of refined captures. One of size would drop background.
-const CLEAN_OPACITY: f64 = 0.02;
+const CLEAN_OPACITY: f64 = 0.01;
 /// Relative to a Gaussian's largest standard deviation, which suits near and far ones.
 const CLEAN_RADIUS: f64 = 8.0;
 

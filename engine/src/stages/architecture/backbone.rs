@@ -1,10 +1,30 @@
-use crate::ops::Ffn;
+use crate::{Error, Result, ops::Ffn};
 use serde::{Deserialize, Serialize};
+
+/// Names, special tokens and positions of a backbone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Family {
+    /// Depth Anything 3: a camera token per view, from block `alt_start` on.
+    #[default]
+    Da3,
+    /// VGGT: blocks of its patch embedding, then from block `alt_start` on pairs of a block within
+    /// and one across views, with a camera token and four registers per view.
+    Vggt,
+}
+
+impl Family {
+    pub(super) fn is_da3(&self) -> bool {
+        *self == Self::Da3
+    }
+}
 
 /// Transformer sizes. Blocks count from 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackboneArchitecture {
+    #[serde(default, skip_serializing_if = "Family::is_da3")]
+    pub family: Family,
     /// Parameter name prefix.
     pub root: String,
     pub width: usize,
@@ -28,12 +48,13 @@ pub struct BackboneArchitecture {
     pub out_layers: Vec<usize>,
     /// Blocks use 1e-6.
     pub final_eps: f32,
-    pub camera: Option<CameraEncoderArchitecture>,
+    pub camera: Option<CameraArchitecture>,
 }
 
+/// Transformer over the views' camera tokens.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct CameraEncoderArchitecture {
+pub struct CameraArchitecture {
     /// Parameter name prefix.
     pub root: String,
     pub depth: usize,
@@ -56,6 +77,22 @@ impl BackboneArchitecture {
     }
 
     pub fn is_global(&self, block: usize) -> bool {
-        block >= self.alt_start && block % 2 == 1
+        let first = if self.family.is_da3() { 0 } else { self.alt_start };
+        block >= self.alt_start && (block - first) % 2 == 1
+    }
+
+    /// Features of VGGT end a pair of blocks.
+    pub(super) fn validate_pairs(&self, name: &str) -> Result<()> {
+        let whole = self.alt_start < self.depth && self.out_layers.iter().all(|&block| self.is_global(block));
+        if self.family.is_da3() || whole && (self.depth - self.alt_start).is_multiple_of(2) {
+            return Ok(());
+        }
+        let found = format!("{:?} of {} from {}", self.out_layers, self.depth, self.alt_start);
+        Err(Error::argument(format!("out_layers of {name}"), found, "blocks that end pairs"))
+    }
+
+    /// Whether the reference view depends on the views.
+    pub fn chooses_reference(&self) -> bool {
+        self.alternates() && self.family.is_da3()
     }
 }

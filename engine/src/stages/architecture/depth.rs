@@ -1,17 +1,18 @@
-use super::{BackboneArchitecture, CameraEncoderArchitecture, MAX_DEPTH, MAX_SIZE};
+use super::{BackboneArchitecture, CameraArchitecture, Family, MAX_DEPTH, MAX_SIZE, vggt_blocks};
 use crate::{
     Error, Result,
     gpu::Limits,
     ops::{Arithmetic, Ffn, ParameterLayout},
     stages::DepthStages,
+    types::Fitting,
 };
 use serde::{Deserialize, Serialize};
 
 /// Released networks.
-pub const DEPTH_MODELS: [&str; 6] =
-    ["da3-small", "da3-base", "da3-large", "da3-giant", "da3mono-large", "da3metric-large"];
+pub const DEPTH_MODELS: [&str; 7] =
+    ["da3-small", "da3-base", "da3-large", "da3-giant", "da3mono-large", "da3metric-large", "vggt-1b"];
 
-/// Hyperparameters of Depth Anything 3.
+/// Hyperparameters of Depth Anything 3 or VGGT.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DepthArchitecture {
@@ -22,6 +23,12 @@ pub struct DepthArchitecture {
     /// Per level.
     pub channels: [usize; 4],
     pub gaussians: bool,
+    /// Head of world points.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub points: bool,
+    /// VGGT's camera head.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_head: Option<CameraArchitecture>,
 }
 
 impl DepthArchitecture {
@@ -35,7 +42,7 @@ impl DepthArchitecture {
         (features, channels): (usize, [usize; 4]),
     ) -> Self {
         let gated = (4 * width * 2 / 3).next_multiple_of(8);
-        let camera = CameraEncoderArchitecture {
+        let camera = CameraArchitecture {
             root: "model.cam_enc".into(),
             depth: 4,
             heads: 16,
@@ -43,6 +50,7 @@ impl DepthArchitecture {
             pose_hidden: width / 2,
         };
         let backbone = BackboneArchitecture {
+            family: Family::Da3,
             root: "model.backbone.pretrained".into(),
             width,
             depth,
@@ -58,7 +66,25 @@ impl DepthArchitecture {
             final_eps: 1e-5,
             camera: (alt_start < depth).then_some(camera),
         };
-        Self { name: name.into(), backbone, features, channels, gaussians: false }
+        let (gaussians, points, camera_head) = (false, false, None);
+        Self { name: name.into(), backbone, features, channels, gaussians, points, camera_head }
+    }
+
+    /// Returns VGGT with `embedding` blocks, then pairs of blocks; `out_pairs` give features.
+    pub fn vggt(
+        name: &str,
+        width: usize,
+        [embedding, pairs]: [usize; 2],
+        out_pairs: [usize; 4],
+        maps: (usize, [usize; 4]),
+    ) -> Self {
+        let (depth, out_layers) = vggt_blocks([embedding, pairs], &out_pairs);
+        let like = Self::new(name, [width, depth, embedding], Ffn::Gelu, out_pairs, maps);
+        let (family, root, final_eps, camera) = (Family::Vggt, "aggregator".into(), 1e-5, None);
+        let backbone = BackboneArchitecture { family, root, out_layers, final_eps, camera, ..like.backbone };
+        let (depth, heads, hidden, pose_hidden) = (4, 16, 8 * width, width);
+        let camera_head = Some(CameraArchitecture { root: "camera_head".into(), depth, heads, hidden, pose_hidden });
+        Self { backbone, camera_head, ..like }
     }
 
     /// Returns one of [`DEPTH_MODELS`], else [`Error::Argument`].
@@ -73,8 +99,13 @@ impl DepthArchitecture {
                 Self { gaussians: true, ..giant }
             }
             "da3mono-large" | "da3metric-large" => Self::new(name, [1024, 24, 24], Ffn::Gelu, [4, 11, 17, 23], large),
+            "vggt-1b" => Self::vggt(name, 1024, [24, 24], [4, 11, 17, 23], large),
             _ => return Err(Error::argument("depth network", name, format!("one of {}", DEPTH_MODELS.join(", ")))),
         })
+    }
+
+    pub fn fitting(&self) -> Fitting {
+        if self.backbone.family.is_da3() { Fitting::LongestSide } else { Fitting::Width }
     }
 
     /// Whether views are joint, with cameras, or separate, with sky.
@@ -92,8 +123,10 @@ impl DepthArchitecture {
             if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
         };
         let b = &self.backbone;
-        let whole = b.width.is_multiple_of(64) && (64..=MAX_SIZE).contains(&b.width);
-        expect(whole, "width", b.width.to_string(), "a multiple of 64 up to 65536")?;
+        // 16 camera heads of whole quads.
+        let of = if b.family.is_da3() { 64 } else { 32 };
+        let whole = b.width.is_multiple_of(of) && (of..=MAX_SIZE).contains(&b.width);
+        expect(whole, "width", b.width.to_string(), &format!("a multiple of {of} up to 65536"))?;
         expect((1..=MAX_DEPTH).contains(&b.depth), "depth", b.depth.to_string(), "1 to 256")?;
         let heads = b.heads > 0 && b.width.is_multiple_of(b.heads) && b.head_dim().is_multiple_of(4);
         expect(heads, "heads", b.heads.to_string(), "a divisor of the width into heads of whole quads")?;
@@ -113,8 +146,17 @@ impl DepthArchitecture {
             "0".into(),
             "1 or more: the reference view is chosen by the block before",
         )?;
-        let layers = b.out_layers.len() == 4 && b.out_layers.is_sorted_by(|a, b| a < b) && b.out_layers[3] < b.depth;
+        let layers = b.out_layers.len() == 4 && b.out_layers.is_sorted() && b.out_layers[3] < b.depth;
         expect(layers, "out_layers", format!("{:?}", b.out_layers), "four ascending blocks below the depth")?;
+        b.validate_pairs(&self.name)?;
+        let own = self.camera_head.is_some() != b.family.is_da3();
+        expect(own, "camera_head", format!("{:?}", self.camera_head), "one for VGGT alone")?;
+        if let Some(c) = &self.camera_head {
+            let width = self.feature_width();
+            let whole = c.heads > 0 && width.is_multiple_of(4 * c.heads) && (1..=MAX_DEPTH).contains(&c.depth);
+            let hidden = [c.hidden, c.pose_hidden].iter().all(|size| (1..=MAX_SIZE).contains(size));
+            expect(whole && hidden, "camera_head", format!("{c:?}"), "sizes above 0, and heads of whole quads")?;
+        }
         let quads = |size: usize, of: usize| size.is_multiple_of(of) && (of..=MAX_SIZE).contains(&size);
         let of = if self.gaussians { 32 } else { 8 };
         expect(quads(self.features, of), "features", self.features.to_string(), &format!("a multiple of {of}"))?;

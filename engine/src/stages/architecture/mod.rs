@@ -1,7 +1,7 @@
 mod backbone;
 mod depth;
 
-pub use backbone::{BackboneArchitecture, CameraEncoderArchitecture};
+pub use backbone::{BackboneArchitecture, CameraArchitecture, Family};
 pub use depth::{DEPTH_MODELS, DepthArchitecture};
 
 use super::Stages;
@@ -18,6 +18,14 @@ pub const VARIANTS: [&str; 4] = ["vits", "vitb", "vitl", "vitg"];
 /// The reference's smaller recipes.
 pub const RECIPES: [&str; 3] = ["da3s", "da3b", "da3l"];
 
+/// The paper's decoder on VGGT, without released weights.
+pub const VGGT: &str = "vggt";
+
+/// Blocks of VGGT with `embedding` blocks before its pairs: all, and those that end `pairs`.
+pub(super) fn vggt_blocks([embedding, all]: [usize; 2], pairs: &[usize]) -> (usize, Vec<usize>) {
+    (embedding + 2 * all, pairs.iter().map(|pair| embedding + 2 * pair + 1).collect())
+}
+
 /// Keeps products of a few dimensions within 64 bits.
 pub(crate) const MAX_SIZE: usize = 1 << 16;
 pub(crate) const MAX_DEPTH: usize = 256;
@@ -30,6 +38,8 @@ const MAX_SH_DEGREE: usize = 3;
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
     pub name: String,
+    #[serde(default, skip_serializing_if = "Family::is_da3")]
+    pub family: Family,
     pub width: usize,
     pub depth: usize,
     pub heads: usize,
@@ -68,6 +78,7 @@ impl Architecture {
         let (heads, color_width) = ((width / 64).max(1), 128);
         Self {
             name: name.into(),
+            family: Family::Da3,
             width,
             depth,
             heads,
@@ -94,7 +105,21 @@ impl Architecture {
         }
     }
 
-    /// Returns one of [`VARIANTS`] or [`RECIPES`], else [`Error::Argument`].
+    /// Returns the paper's decoder on VGGT with `embedding` blocks, then pairs of blocks;
+    /// `out_pairs` give features. Known cameras are no input.
+    pub fn vggt(name: &str, width: usize, [embedding, pairs]: [usize; 2], out_pairs: &[usize]) -> Self {
+        let (depth, out_layers) = vggt_blocks([embedding, pairs], out_pairs);
+        let like = Self::new(name, width, depth, embedding, &out_layers);
+        let [camera_depth, camera_heads, camera_hidden, camera_pose_hidden] = [0; 4];
+        Self { family: Family::Vggt, camera_depth, camera_heads, camera_hidden, camera_pose_hidden, ..like }
+    }
+
+    /// Whether known cameras can be an input.
+    pub fn takes_cameras(&self) -> bool {
+        self.family.is_da3()
+    }
+
+    /// Returns one of [`VARIANTS`] or [`RECIPES`], or [`VGGT`], else [`Error::Argument`].
     pub fn named(variant: &str) -> Result<Self> {
         Ok(match variant {
             "vits" => Self::new("vits", 384, 12, 4, &[5, 7, 9, 11]),
@@ -107,8 +132,9 @@ impl Architecture {
             "da3s" => Self::new("da3s", 384, 12, 5, &[5, 7, 11]),
             "da3b" => Self::new("da3b", 768, 12, 4, &[5, 8, 11]),
             "da3l" => Self::new("da3l", 1024, 24, 8, &[11, 17, 23]),
+            VGGT => Self::vggt(VGGT, 1024, [24, 24], &[11, 17, 23]),
             _ => {
-                let expected = format!("one of {}", [&VARIANTS[..], &RECIPES[..]].concat().join(", "));
+                let expected = format!("one of {}", [&VARIANTS[..], &RECIPES, &[VGGT]].concat().join(", "));
                 return Err(Error::argument("variant", variant, expected));
             }
         })
@@ -116,7 +142,8 @@ impl Architecture {
 
     pub fn backbone(&self) -> BackboneArchitecture {
         BackboneArchitecture {
-            root: "backbone.backbone".into(),
+            family: self.family,
+            root: if self.family.is_da3() { "backbone.backbone" } else { "backbone.aggregator" }.into(),
             width: self.width,
             depth: self.depth,
             heads: self.heads,
@@ -129,7 +156,7 @@ impl Architecture {
             rope_start: self.rope_start,
             out_layers: self.out_layers.clone(),
             final_eps: 1e-6,
-            camera: Some(CameraEncoderArchitecture {
+            camera: self.takes_cameras().then(|| CameraArchitecture {
                 root: "backbone.cam_enc".into(),
                 depth: self.camera_depth,
                 heads: self.camera_heads,
@@ -169,7 +196,8 @@ impl Architecture {
             ("head_hidden", self.head_hidden, MAX_SIZE),
             ("gaussians_per_token", self.gaussians_per_token, 1024),
         ];
-        for (field, found, max) in sizes {
+        let used = |field: &str| self.takes_cameras() || !field.starts_with("camera_");
+        for (field, found, max) in sizes.into_iter().filter(|(field, ..)| used(field)) {
             self.expect((1..=max).contains(&found), field, found, format!("1 to {max}"))?;
         }
         let heads = [
@@ -178,13 +206,14 @@ impl Architecture {
             ("fusion_heads", self.fusion_heads, self.width),
             ("color_heads", self.color_heads, self.color_width),
         ];
-        for (field, found, width) in heads {
+        for (field, found, width) in heads.into_iter().filter(|(field, ..)| used(field)) {
             let fits = width.is_multiple_of(found) && (width / found).is_multiple_of(4);
             self.expect(fits, field, found, format!("a divisor of the width {width} into heads of whole quads"))?;
         }
         self.expect(self.patch_size.is_multiple_of(2), "patch", self.patch_size, "an even number of pixels")?;
         self.expect(self.alt_start < self.depth, "alt_start", self.alt_start, format!("below {}", self.depth))?;
         self.expect(self.sh_degree <= MAX_SH_DEGREE, "sh_degree", self.sh_degree, format!("0 to {MAX_SH_DEGREE}"))?;
+        self.backbone().validate_pairs(&self.name)?;
         let ascending = self.out_layers.is_sorted_by(|a, b| a < b);
         let inside = self.out_layers.last().is_some_and(|&last| last < self.depth);
         let found = format!("{:?}", self.out_layers);

@@ -129,6 +129,6 @@ fn gelu(rec: &mut Recorder, source: Rows, gradient: Option<Rows>, out: Rows) {
     let rows = [source, gradient.unwrap_or(source), out];
     for part in row_chunks(rec, out.values(), &[size_of::<f32>()]) {
         let [source, gradient, out] = rows.map(|rows| rows.tensor.slice::<f32>(part.start, part.len()));
-        rec.dispatch(Gelu { source, gradient, out, count: part.len() as u32, backward }, part.len());
+        rec.dispatch(Gelu { source, gradient, out, count: part.len() as u32, backward, silu: false }, part.len());
     }
 }

@@ -37,7 +37,7 @@ impl Gaussians {
     /// Returns f32 colors of the tokens `chosen`, or all.
     pub fn colors(&self, rec: &mut Recorder, images: Tensor, grid: ViewGrid, chosen: Option<(Tensor, usize)>) -> Rows {
         rec.scope("color", |rec| {
-            let tokens = embed_patches(rec, images, grid, &self.color_embed);
+            let tokens = embed_patches(rec, images, grid, &self.color_embed, false);
             rec.observe("color/tokens", tokens.tensor);
             let queries = match chosen {
                 Some((indices, count)) => gather_rows(rec, tokens, indices, count),

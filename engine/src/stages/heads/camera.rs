@@ -1,7 +1,7 @@
 use super::convolution::{Convolution, ConvolutionOptions};
 use crate::{
     gpu::{Recorder, Tensor},
-    ops::{FeatureMap, ParameterLayout, Rows},
+    ops::{FeatureMap, HostParameter, ParameterLayout, Rows},
 };
 
 /// 1 x 1 convolutions over views.
@@ -13,13 +13,25 @@ pub(super) struct CameraDecoder {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub struct CameraTensors {
-    /// `[views, 3]`: camera centers.
-    pub translations: Tensor,
-    /// `[views, 4]`: unnormalized camera-to-world quaternions xyzw.
-    pub quaternions: Tensor,
-    /// `[views, 2]`: vertical and horizontal fields of view in radians, before ReLU.
-    pub fovs: Tensor,
+pub enum CameraTensors {
+    /// Depth Anything 3.
+    Decoded {
+        /// `[views, 3]`: camera centers.
+        translations: Tensor,
+        /// `[views, 4]`: unnormalized camera-to-world quaternions xyzw.
+        quaternions: Tensor,
+        /// `[views, 2]`: vertical and horizontal fields of view in radians, before ReLU.
+        fovs: Tensor,
+    },
+    /// VGGT.
+    Iterated {
+        /// `[views, 9]`: world-to-camera translation, unnormalized quaternion xyzw, fields of view
+        /// as above.
+        encodings: Tensor,
+        /// `[views, 12]`: input of the first pass, `empty` and padding.
+        initial: Tensor,
+        empty: HostParameter,
+    },
 }
 
 impl CameraDecoder {
@@ -44,7 +56,7 @@ impl CameraDecoder {
             rec.output(tensor);
             tensor
         };
-        CameraTensors {
+        CameraTensors::Decoded {
             translations: out("translations", &self.translation),
             quaternions: out("quaternions", &self.quaternion),
             fovs: out("fovs", &self.fov),

@@ -19,6 +19,8 @@ pub struct ConvolutionOptions {
     /// Exact (erf) GELU.
     pub gelu: bool,
     pub residual: Option<FeatureMap>,
+    /// ReLU on the residual.
+    pub residual_rectified: bool,
 }
 
 impl Convolution {
@@ -98,6 +100,7 @@ impl Convolution {
                 rectified: options.rectified,
                 gelu: options.gelu,
                 add: options.residual.is_some(),
+                add_rectified: options.residual_rectified,
             };
             rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across).flops(self.flops(pixels));
         }
@@ -163,6 +166,7 @@ impl Convolution {
                 source_first,
                 gelu: options.gelu,
                 add: options.residual.is_some(),
+                add_rectified: options.residual_rectified,
                 terms: terms_of(side * source.channels()),
                 tile_rows,
                 vectors,

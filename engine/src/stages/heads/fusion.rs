@@ -16,28 +16,34 @@ struct Step {
     out: Convolution,
 }
 
-/// x + convolution(relu(convolution(relu(x)))).
-struct Residual([Convolution; 2]);
+/// x + convolution(relu(convolution(relu(x)))), or relu(x) + ..
+struct Residual {
+    layers: [Convolution; 2],
+    rectified: bool,
+}
 
 impl Residual {
-    fn new(p: &mut ParameterLayout, name: &str, channels: usize) -> Self {
-        Self([1, 2].map(|i| Convolution::new(p, &format!("{name}.conv{i}"), [channels; 2], 3)))
+    fn new(p: &mut ParameterLayout, name: &str, channels: usize, rectified: bool) -> Self {
+        let layers = [1, 2].map(|i| Convolution::new(p, &format!("{name}.conv{i}"), [channels; 2], 3));
+        Self { layers, rectified }
     }
 
     fn record(&self, rec: &mut Recorder, x: FeatureMap) -> FeatureMap {
         let rectified = ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() };
-        let hidden = self.0[0].record(rec, "hidden", x, rectified);
-        self.0[1].record(rec, "residual", hidden, ConvolutionOptions { residual: Some(x), ..rectified })
+        let hidden = self.layers[0].record(rec, "hidden", x, rectified);
+        let sum = ConvolutionOptions { residual: Some(x), residual_rectified: self.rectified, ..rectified };
+        self.layers[1].record(rec, "residual", hidden, sum)
     }
 }
 
 impl Fusion {
-    pub fn new(p: &mut ParameterLayout, root: &str, suffix: &'static str, channels: usize) -> Self {
+    /// `rectified` applies ReLU to the residual too.
+    pub fn new(p: &mut ParameterLayout, root: &str, suffix: &'static str, channels: usize, rectified: bool) -> Self {
         let step = |j: usize| {
             let name = format!("{root}.scratch.refinenet{}{suffix}", j + 1);
             Step {
-                level: (j < 3).then(|| Residual::new(p, &format!("{name}.resConfUnit1"), channels)),
-                sum: Residual::new(p, &format!("{name}.resConfUnit2"), channels),
+                level: (j < 3).then(|| Residual::new(p, &format!("{name}.resConfUnit1"), channels, rectified)),
+                sum: Residual::new(p, &format!("{name}.resConfUnit2"), channels, rectified),
                 out: Convolution::new(p, &format!("{name}.out_conv"), [channels; 2], 1),
             }
         };

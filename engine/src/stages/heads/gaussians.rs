@@ -38,7 +38,7 @@ impl GaussianHead {
         let merged = [(0, [3, f / 8]), (2, [f / 8, f / 4]), (4, [f / 4, f / 2])];
         Self {
             levels: Levels::new(p, a, root, false, true),
-            fusion: Fusion::new(p, root, "", f),
+            fusion: Fusion::new(p, root, "", f, false),
             neck: Convolution::new(p, &format!("{root}.scratch.output_conv1"), [f, f / 2], 3),
             merger: merged.map(|(i, channels)| Convolution::new(p, &format!("{root}.images_merger.{i}"), channels, 3)),
             tail: Tail::new(p, &format!("{root}.scratch.output_conv2"), f / 2, GAUSSIAN_VALUES),

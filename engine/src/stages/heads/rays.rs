@@ -27,7 +27,7 @@ impl RayHead {
         let name = |part: String| format!("{root}.scratch.{part}");
         let neck = |i: usize| if i.is_multiple_of(2) { [f, f / 2] } else { [f / 2, f] };
         Self {
-            fusion: Fusion::new(p, root, "_aux", f),
+            fusion: Fusion::new(p, root, "_aux", f, false),
             neck: [0, 1, 2, 3, 4].map(|i| Convolution::new(p, &name(format!("output_conv1_aux.3.{i}")), neck(i), 3)),
             hidden: Convolution::new(p, &name("output_conv2_aux.3.0".into()), [f / 2, HIDDEN], 3),
             norm: p.norm(&name("output_conv2_aux.0.2".into()), HIDDEN, EPS),

@@ -22,10 +22,10 @@ use zipsplat::{
 };
 use zipsplat_verify::noise::Noise;
 
-/// Time of Depth Anything 3, backbone and heads, by kernel, and its memory
+/// Time of Depth Anything 3 or VGGT, backbone and heads, by kernel, and its memory
 #[derive(Args)]
 pub struct Depth {
-    /// Weights of Depth Anything 3, as for `depth`
+    /// Weights, as for `depth`
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Numbers of views
@@ -74,8 +74,13 @@ impl Depth {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let checkpoint = open_depth(&self.weights, true)?;
         let network = &checkpoint.architecture().name;
-        if self.pytorch.is_some() && !checkpoint.architecture().multi_view() {
-            return Err(Error::argument("--pytorch", network, "a network that sees all photos at once"));
+        let rays = checkpoint.architecture().multi_view() && checkpoint.architecture().camera_head.is_none();
+        if self.pytorch.is_some() && !rays {
+            return Err(Error::argument(
+                "--pytorch",
+                network,
+                "a network of Depth Anything 3 that sees all photos at once",
+            ));
         }
         self.pytorch.as_deref().map_or(Ok(()), |python| python::DEPTH.check(python))?;
         let device = timed_device(session)?;

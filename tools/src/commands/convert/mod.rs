@@ -1,6 +1,7 @@
 mod summary;
 
 use crate::{
+    depth::DEPTH_WEIGHTS,
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
     outputs::{self, Overwrite, size_of},
     released::{is_of_depth, open_depth},
@@ -34,8 +35,8 @@ use zipsplat::{
   zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Scene (PLY, SPZ, SOG, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
-    /// `zipsplat weights list`, or seeded:VARIANT[:KEY]
+    /// Scene (PLY, SPZ, SOG, .splat or glTF), checkpoint of ZipSplat, Depth Anything 3 or VGGT, a
+    /// name of `zipsplat weights list`, or seeded:VARIANT[:KEY]
     input: String,
     /// File to write; its extension gives the format [default: none, only summarize the input]
     output: Option<PathBuf>,
@@ -122,7 +123,7 @@ impl Convert {
     }
 
     fn depth_checkpoint(&self, session: &mut Session<'_>, output: &Path, dtype: Dtype) -> Result<()> {
-        refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
+        refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
         let checkpoint = open_depth(&self.input, true)?;
         session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
         let architecture = checkpoint.architecture();

@@ -25,18 +25,19 @@ pub fn checkpoint(session: &mut Session<'_>, checkpoint: &Checkpoint) -> Result<
 
 pub fn depth_checkpoint(session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<()> {
     let (architecture, tensors) = (checkpoint.architecture(), checkpoint.parameters().len());
+    let kind = if architecture.camera_head.is_some() { "VGGT" } else { "Depth Anything 3" };
     let json = json!({
-        "source": checkpoint.provenance(), "kind": "Depth Anything 3", "architecture": architecture, "tensors": tensors,
+        "source": checkpoint.provenance(), "kind": kind, "architecture": architecture, "tensors": tensors,
         "estimates_cameras": architecture.multi_view(), "sky": !architecture.multi_view(), "gaussians": architecture.gaussians,
         "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(), "stored": checkpoint.stored(),
     });
     let what = if architecture.multi_view() {
-        "depth, rays and cameras of photos seen at once"
+        "depth and cameras of photos seen at once"
     } else {
         "depth and sky of each photo by itself, no cameras"
     };
     let more = if architecture.gaussians { ", a Gaussian a pixel" } else { "" };
-    let name = format!("{} of Depth Anything 3: {what}{more}", architecture.name);
+    let name = format!("{} of {kind}: {what}{more}", architecture.name);
     weights(session, &json, checkpoint.provenance(), &name)
 }
 

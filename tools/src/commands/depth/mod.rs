@@ -29,7 +29,7 @@ use zipsplat::{
     },
 };
 
-/// Predict depth, points and cameras of photos with Depth Anything 3
+/// Predict depth, points and cameras of photos with Depth Anything 3 or VGGT
 ///
 /// Writes depths.safetensors (depth, confidence and rays), and 16-bit and color pictures of depth.
 /// Multi-view networks also write transforms.json for --cameras of `reconstruct` and `refine`, and
@@ -44,9 +44,9 @@ use zipsplat::{
 pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Weights of Depth Anything 3: a name (da3-small, da3-base, da3-large, da3-giant,
-    /// da3mono-large, da3metric-large), a released model.safetensors, or seeded:NAME for random
-    /// numbers
+    /// Weights of Depth Anything 3 or VGGT: a name (da3-small, da3-base, da3-large, da3-giant,
+    /// da3mono-large, da3metric-large, vggt-1b), a released model.safetensors, or seeded:NAME for
+    /// random numbers
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Folder to write to
@@ -54,7 +54,8 @@ pub struct Depth {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Known cameras of all photos: input of multi-view networks; with others they place the points
+    /// Known cameras of all photos: input of Depth Anything 3's multi-view networks; with its
+    /// others they place the points
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     #[command(flatten)]
@@ -66,9 +67,9 @@ pub struct Depth {
     /// Photo whose camera is the world, counted from 0 [default: the network's choice]
     #[arg(long, value_name = "N")]
     reference_view: Option<usize>,
-    /// Longer side of the photos for the network, in pixels
-    #[arg(long, value_name = "PIXELS", default_value = "504", value_parser = clap::value_parser!(u32).range(14..=8192))]
-    input_size: u32,
+    /// Longer side of the photos in pixels, for VGGT their width [default: 504, for VGGT 518]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(14..=8192))]
+    input_size: Option<u32>,
     /// Largest number of points in points.ply
     #[arg(long, value_name = "N", default_value = "200000")]
     max_points: usize,
@@ -103,7 +104,7 @@ impl Depth {
         let options = PredictorOptions {
             masks: None,
             checkpoint: &checkpoint,
-            side: Some(self.input_size),
+            side: self.input_size,
             cameras: self.source,
             arithmetic: &self.arithmetic,
             request,

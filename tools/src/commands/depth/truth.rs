@@ -167,8 +167,7 @@ mod tests {
         // A photo of 4 x 2 pixels: its right half becomes 4 x 4, with true depth of 8 x 4.
         let map = PixelMap { from: [4, 2], to: [4, 4], scale: [2.0, 2.0], offset: [-4.0, 0.0] };
         let truth: Vec<f32> = (0..32).map(|i| i as f32).collect();
-        let view =
-            DepthMap { depth: vec![1.0; 16], confidence: None, rays: None, sky: None, encoding: None, gaussians: None };
+        let view = DepthMap { depth: vec![1.0; 16], ..DepthMap::default() };
         let expected: Vec<f64> = (0..16).map(|i| f64::from(i / 4 * 8 + 4 + i % 4)).collect();
         assert_eq!(ratios(&view, &map, &([8, 4], truth)), expected);
     }

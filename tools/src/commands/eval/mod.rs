@@ -43,8 +43,8 @@ const TARGETS: usize = 8;
 /// unreliable scores: flat, a photo without texture, which is not aligned; bound, a camera at its
 /// movement limit; color, a picture no better than one color.
 ///
-/// With weights of Depth Anything 3 the scene is that of `reconstruct`, from whole photos. With
-/// --pose-free, estimated cameras map it to the known world.
+/// With weights of Depth Anything 3 or VGGT the scene is that of `reconstruct`, from whole photos.
+/// With --pose-free, estimated cameras map it to the known world.
 ///
 /// Two pictures, or equally named pictures in two folders, are compared by PSNR, SSIM (as in
 /// scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
@@ -74,8 +74,8 @@ pub struct Eval {
     #[arg(required = true, value_name = "CAPTURE|PICTURES")]
     folders: Vec<PathBuf>,
     /// Cameras of the photos: transforms.json or a COLMAP model's folder; colmap: estimated by
-    /// COLMAP; da3: by Depth Anything 3 [default: those in the folder]
-    #[arg(long, value_name = "PATH|colmap|da3")]
+    /// COLMAP; da3, vggt: by Depth Anything 3, VGGT [default: those in the folder]
+    #[arg(long, value_name = "PATH|colmap|da3|vggt")]
     cameras: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,

@@ -6,14 +6,14 @@ use super::{
 use crate::{
     cameras::Similarity,
     capture::{Choice, ViewSplit},
-    depth::check_finds_cameras,
+    depth::{DEPTH_WEIGHTS, check_finds_cameras, square},
     options::{Size, refuse},
     session::Session,
     views::Crop,
 };
 use zipsplat::{
     Result,
-    types::{DEFAULT_BOUND, Pose, poses::Capture},
+    types::{Pose, poses::Capture},
     weights::DepthCheckpoint,
 };
 
@@ -22,13 +22,13 @@ impl Eval {
     pub(super) fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<Size> {
         let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
         for (option, given) in [("--crop tiles", self.crop.crop == Crop::Tiles), ("--refine-target tokens", tokens)] {
-            refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
+            refuse(option, given, DEPTH_WEIGHTS, "weights of ZipSplat")?;
         }
         self.quality.check_pixels(checkpoint)?;
         if self.pose_free {
             check_finds_cameras(checkpoint.architecture())?;
         }
-        Ok(self.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND)))
+        Ok(self.quality.asked_size().unwrap_or(square(checkpoint)))
     }
 }
 

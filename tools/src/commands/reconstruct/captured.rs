@@ -25,8 +25,9 @@ impl Reconstruct {
 
     pub(super) fn finds_by_itself(&self, network: &Network) -> bool {
         let finder = self.cameras.as_deref().map(Finder::named);
-        let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();
-        own && matches!(network, Network::Pixels(_))
+        let Network::Pixels(checkpoint) = network else { return false };
+        let by_network = |finder: Finder| finder.family() == Some(checkpoint.architecture().backbone.family);
+        self.finding.depth_weights.is_none() && finder.is_none_or(|finder| finder.is_some_and(by_network))
     }
 
     pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {

@@ -54,8 +54,8 @@ const REFINEMENT: &str = "Refinement";
 /// Gaussians. The scene's world is the first photo's camera (x right, y down, z forward), see
 /// --world.
 ///
-/// With weights of Depth Anything 3, each confident pixel becomes a Gaussian at its depth, and the
-/// network also estimates the cameras. --input-size is then the longer side, and
+/// With weights of Depth Anything 3 or VGGT, each confident pixel becomes a Gaussian at its depth,
+/// and the network also estimates the cameras. --input-size is then the longer side, and
 /// --max-gaussians-per-token limits the pixels of a patch.
 #[derive(Args)]
 #[command(mut_args(adapted), after_help = format!("Examples:
@@ -90,14 +90,14 @@ pub struct Reconstruct {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     views: Option<u32>,
     /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; colmap: estimated
-    /// by COLMAP; da3: by Depth Anything 3
-    #[arg(long, help_heading = CAMERAS, value_name = "PATH|colmap|da3")]
+    /// by COLMAP; da3, vggt: by Depth Anything 3, VGGT
+    #[arg(long, help_heading = CAMERAS, value_name = "PATH|colmap|da3|vggt")]
     cameras: Option<PathBuf>,
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
-    /// Write the cameras, estimated or optimized, as transforms.json. --cameras colmap and da3 also
-    /// write points and a log to its folder. Without --cameras, estimates them from the scene, in
-    /// its world
+    /// Write the cameras, estimated or optimized, as transforms.json. --cameras colmap, da3 and
+    /// vggt also write points and a log to its folder. Without --cameras, estimates them from the
+    /// scene, in its world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length of the network's unit in the cameras' unit; the scene keeps the cameras' unit

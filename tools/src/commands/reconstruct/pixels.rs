@@ -3,7 +3,7 @@ use super::{
     forward::{Forward, LOAD_WEIGHTS, rate},
 };
 use crate::{
-    depth::{PredictedViews, PredictorOptions},
+    depth::{DEPTH_WEIGHTS, PredictedViews, PredictorOptions},
     options::refuse,
     session::Session,
     table::counted,
@@ -11,8 +11,6 @@ use crate::{
 };
 use serde_json::json;
 use zipsplat::{Result, weights::DepthCheckpoint};
-
-const PIXELS: &str = "weights of Depth Anything 3";
 
 impl Reconstruct {
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
@@ -23,7 +21,7 @@ impl Reconstruct {
             ("--explain", self.explain),
             ("--refine-target tokens", tokens),
         ] {
-            refuse(option, given, PIXELS, "weights of ZipSplat")?;
+            refuse(option, given, DEPTH_WEIGHTS, "weights of ZipSplat")?;
         }
         self.quality.check_pixels(checkpoint)
     }

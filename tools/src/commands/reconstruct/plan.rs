@@ -1,5 +1,6 @@
 use super::Reconstruct;
 use crate::{
+    depth::{DEPTH_WEIGHTS, square},
     options::{ArithmeticOption, Network as Weights, Quality, Size, refuse},
     photos,
     session::Session,
@@ -16,7 +17,6 @@ use zipsplat::{
     reconstruct::{Network, NetworkPlan, Shape},
     refine::{Moved, RefinePlan, plan_refinement},
     stages::render::{RenderOptions, plan_pictures},
-    types::DEFAULT_BOUND,
     weights::{Checkpoint, DepthCheckpoint},
 };
 
@@ -142,10 +142,10 @@ fn show_depth(
         ("--refine", command.refine.steps().is_some()),
         ("--kv-pool", command.quality.kv_pool != 1),
     ] {
-        refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        refuse(option, given, DEPTH_WEIGHTS, "weights of ZipSplat")?;
     }
     let Quality { ratio, token_selection, arithmetic, .. } = &command.quality;
-    let size = command.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND));
+    let size = command.quality.asked_size().unwrap_or(square(checkpoint));
     let (limits, precision, arithmetic) = target(session, arithmetic)?;
     let network = DepthNetwork::new(checkpoint.architecture(), &limits, arithmetic);
     let shape = network.shape(views, [size.0, size.1], (*ratio, token_selection), posed, None)?;

@@ -78,7 +78,7 @@ def _stacked(views: Sequence[Any]) -> Optional[npt.NDArray[np.float32]]:
 
 
 class DepthModel(Owner):
-    """A Depth Anything 3 network with its weights on a device. Threads can share it.
+    """A Depth Anything 3 or VGGT network with its weights on a device. Threads can share it.
 
     Attributes:
         device: Device of the network.
@@ -132,7 +132,7 @@ class DepthModel(Owner):
         images: ImagesLike,
         cameras: Optional[CamerasLike] = None,
         *,
-        input_size: int = 504,
+        input_size: Optional[int] = None,
         camera_source: CameraSource = "decoder",
         per_view_focal: bool = False,
         progress: Optional[ProgressFunction] = None,
@@ -142,7 +142,8 @@ class DepthModel(Owner):
         Args:
             images: Photos, as for Model.reconstruct.
             cameras: Known cameras of the whole photos, which set the depth scale.
-            input_size: Longer side of the network's input in pixels.
+            input_size: Longer side of the network's input in pixels, 504 by default; for VGGT its
+                width, 518 by default.
             camera_source: "decoder", or "rays", which also estimates the principal point.
             per_view_focal: Estimates a focal length per photo instead of one per photo size.
             progress: Called with the Progress. Returning False raises CancelledError; its
@@ -162,7 +163,7 @@ class DepthModel(Owner):
         callback, known = Callback(progress), native_cameras(posed or ())
         options = structure(
             "depth_options",
-            input_size=positive("input_size", input_size),
+            input_size=0 if input_size is None else positive("input_size", input_size),
             camera_source=choose("camera_source", camera_source, _CAMERA_SOURCES),
             per_view_focal=int(per_view_focal),
             cameras=known,

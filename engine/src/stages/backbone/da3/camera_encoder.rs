@@ -1,13 +1,9 @@
+use super::super::transformer::POSE_ENCODING;
 use crate::{
     gpu::{Element, Recorder, Tensor},
     ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
-    stages::CameraEncoderArchitecture,
+    stages::CameraArchitecture,
 };
-
-/// Translation 3, quaternion 4, vertical and horizontal field of view.
-pub(super) const POSE_ENCODING: usize = 9;
-
-pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
 const EPS: f32 = 1e-5;
 
@@ -20,7 +16,7 @@ pub(super) struct CameraEncoder {
 }
 
 impl CameraEncoder {
-    pub fn new(p: &mut ParameterLayout, a: &CameraEncoderArchitecture, width: usize) -> Self {
+    pub fn new(p: &mut ParameterLayout, a: &CameraArchitecture, width: usize) -> Self {
         let root = &a.root;
         let heads = Heads::new(a.heads, width);
         let block = |p: &mut ParameterLayout, i| {

@@ -1,67 +1,71 @@
 use super::{
-    camera_encoder::{CameraEncoder, POSE_ENCODING, POSE_VALUES},
-    positions::{interpolate, rotary_tables},
+    super::{
+        positions::{interpolate, rotary_tables},
+        transformer::{POSE_ENCODING, POSE_VALUES, SpecialTokens, Transformer, place_tokens},
+    },
+    camera_encoder::CameraEncoder,
 };
 use crate::{
     Result,
-    gpu::{Element, Recorder, Run, Tensor},
+    gpu::{Recorder, Run, Tensor},
     kernels::backbone as kernels,
-    ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Parameters, Pool, Rotary, Rows, Sequences},
+    ops::{Block, Heads, HostParameter, Linear, ParameterLayout, Parameters, Rotary, Rows},
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
 };
 
 const EPS: f32 = 1e-6;
 
-pub(super) struct Transformer {
+struct CameraTokens {
     architecture: BackboneArchitecture,
     class_token: Tensor,
     /// `[2, width]` f32.
     camera_tokens: Option<Tensor>,
     learned_positions: HostParameter,
     patch_embed: Linear,
-    blocks: Vec<Block>,
-    pub final_norm: Norm,
-    camera_encoder: Option<CameraEncoder>,
+    encoder: Option<CameraEncoder>,
 }
 
-/// Tokens at an out layer, camera tokens first.
-#[derive(Clone, Copy)]
-pub(super) struct OutLayer {
-    pub local: Rows,
-    pub global: Rows,
+pub(in super::super) fn transformer(p: &mut ParameterLayout, a: &BackboneArchitecture) -> Transformer {
+    let (root, width) = (&a.root, a.width);
+    let class_token = p.vector(&format!("{root}.cls_token"), &[1, 1, width]);
+    let camera_tokens = a.alternates().then(|| p.vector(&format!("{root}.camera_token"), &[1, 2, width]));
+    let learned_positions = p.host(&format!("{root}.pos_embed"), &[1, 1 + a.position_grid.pow(2), width]);
+    let patch_embed = p.convolution(&format!("{root}.patch_embed.proj"), &[3, a.patch_size, a.patch_size], width);
+    let block = |i| {
+        let (name, heads) = (format!("{root}.blocks.{i}"), Heads::new(a.heads, width));
+        Block::new(p, &name, heads, i >= a.qk_norm_start, (a.ffn, a.ffn_hidden), EPS)
+    };
+    let blocks = (0..a.depth).map(block).collect();
+    let final_norm = Some(p.norm(&format!("{root}.norm"), width, a.final_eps));
+    let encoder = a.camera.as_ref().map(|camera| CameraEncoder::new(p, camera, width));
+    let architecture = a.clone();
+    let special = CameraTokens { architecture, class_token, camera_tokens, learned_positions, patch_embed, encoder };
+    Transformer { architecture: a.clone(), blocks, final_norm, special: Box::new(special) }
 }
 
 struct Inputs<'a> {
     positions: Tensor,
     /// Local, global.
-    rotary: Option<&'a [Tensor]>,
+    rotary: &'a [Tensor],
     poses: Option<Tensor>,
 }
 
-impl Transformer {
-    pub fn new(p: &mut ParameterLayout, a: &BackboneArchitecture) -> Self {
-        let root = &a.root;
-        let heads = Heads::new(a.heads, a.width);
-        Self {
-            class_token: p.vector(&format!("{root}.cls_token"), &[1, 1, a.width]),
-            camera_tokens: a.alternates().then(|| p.vector(&format!("{root}.camera_token"), &[1, 2, a.width])),
-            learned_positions: p.host(&format!("{root}.pos_embed"), &[1, 1 + a.position_grid.pow(2), a.width]),
-            patch_embed: p.convolution(&format!("{root}.patch_embed.proj"), &[3, a.patch_size, a.patch_size], a.width),
-            blocks: (0..a.depth)
-                .map(|i| {
-                    let name = format!("{root}.blocks.{i}");
-                    Block::new(p, &name, heads, i >= a.qk_norm_start, (a.ffn, a.ffn_hidden), EPS)
-                })
-                .collect(),
-            final_norm: p.norm(&format!("{root}.norm"), a.width, a.final_eps),
-            camera_encoder: a.camera.as_ref().map(|camera| CameraEncoder::new(p, camera, a.width)),
-            architecture: a.clone(),
-        }
+impl CameraTokens {
+    fn named<'a>(&self, inputs: &'a [Tensor]) -> Inputs<'a> {
+        let (positions, rest) = (inputs[0], &inputs[1..]);
+        let (rotary, poses) = rest.split_at(if self.architecture.rotates() { 2 } else { 0 });
+        Inputs { positions, rotary, poses: poses.first().copied().filter(|_| self.encoder.is_some()) }
+    }
+}
+
+impl SpecialTokens for CameraTokens {
+    fn leading(&self) -> usize {
+        1
     }
 
-    /// Allocates positions ([`interpolate`]), tables ([`rotary_tables`]) and poses `[views,
+    /// Positions ([`interpolate_positions`]), tables ([`rotary_tables`]) and poses `[views,
     /// POSE_VALUES]`, f32.
-    pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
+    fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         let (a, tokens) = (&self.architecture, 1 + grid.patches());
         let mut inputs = vec![rec.input::<f32>("positions", tokens * a.width)];
         if a.rotates() {
@@ -72,108 +76,66 @@ impl Transformer {
         inputs
     }
 
-    fn named<'a>(&self, inputs: &'a [Tensor]) -> Inputs<'a> {
-        let (positions, rest) = (inputs[0], &inputs[1..]);
-        let (rotary, poses) = rest.split_at(if self.architecture.rotates() { 2 } else { 0 });
-        Inputs { positions, rotary: (!rotary.is_empty()).then_some(rotary), poses: poses.first().copied() }
-    }
-
-    pub fn record(
-        &self,
-        rec: &mut Recorder,
-        images: Tensor,
-        inputs: &[Tensor],
-        (grid, reference, pool): (ViewGrid, Reference, usize),
-        mut out: impl FnMut(&mut Recorder, usize, OutLayer),
-    ) {
-        let (a, tokens) = (&self.architecture, 1 + grid.patches());
-        let Inputs { positions, rotary, poses } = self.named(inputs);
-        let encoder = self.camera_encoder.as_ref();
-        let encoded =
-            poses.zip(encoder).map(|(poses, encoder)| encoder.record(rec, Rows::new(poses, grid.views, POSE_VALUES)));
-        let x = self.first_tokens(rec, images, positions, grid);
-        let mut chosen = None;
-        // Copied before a global block overwrites it.
-        let mut local = x;
-        for (i, block) in self.blocks.iter().enumerate() {
-            if i + 1 == a.alt_start && reference == Reference::Balanced && encoded.is_none() {
-                chosen = Some(choose_reference(rec, x, grid));
-            }
-            if let (true, Some(learned)) = (i == a.alt_start, self.camera_tokens) {
-                self.insert_camera_tokens(rec, x.tensor, (encoded, learned), (reference, chosen), grid);
-                rec.observe("bb/alt_in", x.tensor);
-            }
-            let (global, out_layer) = (a.is_global(i), a.out_layers.iter().position(|&layer| layer == i));
-            if global && out_layer.is_some() {
-                local = Rows::scratch(rec, "local", x.count, x.width, Element::F32);
-                rec.copy(x.tensor, local.tensor);
-            } else if !global {
-                local = x;
-            }
-            let rotary = rotary.filter(|_| i >= a.rope_start).map(|tables| Rotary {
-                table: tables[usize::from(global)],
-                tokens,
-                turned: if global { 1 } else { tokens },
-            });
-            let sequences = Sequences {
-                count: if global { 1 } else { grid.views },
-                tokens: if global { grid.views * tokens } else { tokens },
-                rotary,
-                pool: Pool::of(pool, [grid.rows, grid.columns], 1).filter(|_| global),
-            };
-            rec.scope("block", |rec| block.record(rec, x, sequences));
-            rec.observe(&format!("bb/block{i}"), x.tensor);
-            if let Some(layer) = out_layer {
-                rec.scope("features", |rec| out(rec, layer, OutLayer { local, global: x }));
-            }
-        }
-    }
-
-    fn first_tokens(&self, rec: &mut Recorder, images: Tensor, positions: Tensor, grid: ViewGrid) -> Rows {
-        let width = self.architecture.width;
-        let tokens = 1 + grid.patches();
+    fn first(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Rows {
         rec.scope("embed", |rec| {
-            let patches = embed_patches(rec, images, grid, &self.patch_embed);
-            let out = Rows::scratch(rec, "tokens", grid.views * tokens, width, Element::F32);
-            let kernel = kernels::Tokens {
-                patches: patches.tensor,
-                class_token: self.class_token,
-                positions,
-                out: out.tensor,
-                views: grid.views as u32,
-                tokens: tokens as u32,
-                width: width as u32,
-            };
-            rec.dispatch(kernel, out.values());
-            rec.observe("bb/tokens0", out.tensor);
-            out
+            let patches = embed_patches(rec, images, grid, &self.patch_embed, false);
+            place_tokens(rec, patches, (self.class_token, 1), [1, 0], Some(self.named(inputs).positions), grid)
         })
     }
 
-    fn insert_camera_tokens(
+    fn choose(&self, rec: &mut Recorder, x: Rows, inputs: &[Tensor], grid: ViewGrid) -> Option<Tensor> {
+        if self.named(inputs).poses.is_some() {
+            return None;
+        }
+        let reference = rec.tensor::<u32>("reference", 1);
+        let kernel = kernels::ReferenceView {
+            tokens: x.tensor,
+            direction: rec.tensor::<f32>("direction", x.width),
+            scores: rec.tensor::<[f32; 4]>("scores", grid.views),
+            reference,
+            views: grid.views as u32,
+            tokens_per_view: 1 + grid.patches() as u32,
+            width: x.width as u32,
+        };
+        rec.dispatch_groups(kernel, 1u32);
+        rec.observe("bb/ref_metrics", kernel.scores);
+        rec.observe("bb/ref_idx", reference);
+        Some(reference)
+    }
+
+    fn joined(
         &self,
         rec: &mut Recorder,
-        x: Tensor,
-        (encoded, learned): (Option<Tensor>, Tensor),
+        x: Rows,
+        inputs: &[Tensor],
         (reference, chosen): (Reference, Option<Tensor>),
         grid: ViewGrid,
-    ) {
-        let width = self.architecture.width;
+    ) -> Rows {
+        let poses = self.named(inputs).poses.map(|poses| Rows::new(poses, grid.views, POSE_VALUES));
+        let encoded = poses.zip(self.encoder.as_ref()).map(|(poses, encoder)| encoder.record(rec, poses));
+        let learned = self.camera_tokens.expect("views are joint");
         let kernel = kernels::CameraToken {
             camera_tokens: encoded.unwrap_or(learned),
             chosen: chosen.unwrap_or(learned),
-            out: x,
+            out: x.tensor,
             views: grid.views as u32,
             tokens: 1 + grid.patches() as u32,
-            width: width as u32,
+            width: x.width as u32,
             reference: if let Reference::View(view) = reference { view as u32 } else { 0 },
             encoded: encoded.is_some(),
             on_device: chosen.is_some(),
         };
-        rec.dispatch(kernel, grid.views * width);
+        rec.dispatch(kernel, grid.views * x.width);
+        x
     }
 
-    pub fn write(
+    fn rotary(&self, inputs: &[Tensor], grid: ViewGrid, global: bool) -> Rotary {
+        let tokens = 1 + grid.patches();
+        let table = self.named(inputs).rotary[usize::from(global)];
+        Rotary { table, tokens, turned: if global { 1 } else { tokens } }
+    }
+
+    fn write(
         &self,
         run: &mut Run,
         inputs: &[Tensor],
@@ -184,8 +146,8 @@ impl Transformer {
         let (a, learned) = (&self.architecture, &parameters[self.learned_positions]);
         let ViewGrid { rows, columns, .. } = grid;
         let inputs = self.named(inputs);
-        run.write(inputs.positions, &interpolate(learned, a.position_grid, a.width, rows, columns))?;
-        for (tensor, table) in inputs.rotary.into_iter().flatten().zip(rotary_tables(rows, columns, a.head_dim())) {
+        run.write(inputs.positions, &interpolate_positions(learned, a.position_grid, a.width, rows, columns))?;
+        for (tensor, table) in inputs.rotary.iter().zip(rotary_tables(rows, columns, a.head_dim())) {
             run.write(*tensor, &table)?;
         }
         if let (Some(tensor), Some(poses)) = (inputs.poses, poses) {
@@ -196,20 +158,28 @@ impl Transformer {
     }
 }
 
-/// Reference view `[1]` u32, by class tokens.
-fn choose_reference(rec: &mut Recorder, x: Rows, grid: ViewGrid) -> Tensor {
-    let reference = rec.tensor::<u32>("reference", 1);
-    let kernel = kernels::ReferenceView {
-        tokens: x.tensor,
-        direction: rec.tensor::<f32>("direction", x.width),
-        scores: rec.tensor::<[f32; 4]>("scores", grid.views),
-        reference,
-        views: grid.views as u32,
-        tokens_per_view: 1 + grid.patches() as u32,
-        width: x.width as u32,
+/// Bicubic parameter of the reference.
+const A: f64 = -0.75;
+
+const OFFSET: f64 = 0.1;
+
+/// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
+///
+/// Bicubic with repeated edges; the class token and the original grid are unchanged.
+pub fn interpolate_positions(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
+    interpolate(learned, [side, width], [rows, columns], taps)
+}
+
+fn taps(side: usize, count: usize) -> Vec<Vec<(usize, f64)>> {
+    let scale = (count as f64 + OFFSET) / side as f64;
+    let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;
+    let far = |u: f64| ((A * u - 5.0 * A) * u + 8.0 * A) * u - 4.0 * A;
+    let one = |i: usize| {
+        let source = (i as f64 + 0.5) / scale - 0.5;
+        let t = source - source.floor();
+        let weights = [far(t + 1.0), near(t), near(1.0 - t), far(2.0 - t)];
+        let index = |k: usize| (source.floor() as i64 - 1 + k as i64).clamp(0, side as i64 - 1) as usize;
+        [0, 1, 2, 3].map(|k| (index(k), weights[k])).into()
     };
-    rec.dispatch_groups(kernel, 1u32);
-    rec.observe("bb/ref_metrics", kernel.scores);
-    rec.observe("bb/ref_idx", reference);
-    reference
+    (0..count).map(one).collect()
 }

@@ -2,7 +2,7 @@
 
 use super::Batch;
 use crate::{
-    depth::{DepthPredictor, PreparedPhotos, check_finds_cameras},
+    depth::{DEPTH_WEIGHTS, DepthPredictor, PreparedPhotos, check_finds_cameras},
     options::{Size, refuse},
     outputs, photos,
     session::{Session, Stage},
@@ -68,7 +68,7 @@ impl<'a> Maker<'a> {
     ) -> Result<(Self, String)> {
         let quality = &batch.command.quality;
         let squares = batch.crop() == Crop::Tiles;
-        refuse("--crop tiles", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        refuse("--crop tiles", squares, DEPTH_WEIGHTS, "weights of ZipSplat")?;
         quality.check_pixels(checkpoint)?;
         if !batch.posed {
             check_finds_cameras(checkpoint.architecture())?;

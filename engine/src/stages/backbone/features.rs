@@ -1,3 +1,4 @@
+use super::transformer::OutLayer;
 use crate::{
     gpu::{Element, Recorder},
     kernels::backbone as kernels,
@@ -29,28 +30,35 @@ impl Features {
     }
 
     /// Returns W [a | b] + bias + (a + b) / 2 with a = norm(local), b = norm(final_norm(global)),
-    /// without camera tokens.
+    /// without special tokens.
     pub fn record(
         &self,
         rec: &mut Recorder,
         j: usize,
-        [local, global]: [Rows; 2],
-        final_norm: Norm,
+        OutLayer { local, global, leading }: OutLayer,
+        final_norm: Option<Norm>,
         grid: ViewGrid,
     ) -> Rows {
         let (width, patches, downscale) = (global.width, grid.patches(), self.downscales[j]);
         let out = Rows::scratch(rec, "prepared", grid.tokens(), width, Element::F32);
-        let output = downscale.element();
+        let (output, view) = (downscale.element(), [leading, patches]);
         let widths =
-            [(1 + patches) * global.row_bytes(), output.bytes() * patches * 2 * width, patches * out.row_bytes()];
+            [(leading + patches) * global.row_bytes(), output.bytes() * patches * 2 * width, patches * out.row_bytes()];
         for part in row_chunks(rec, grid.views, &widths) {
             let rows_of_views = |rows: Rows, tokens: usize| rows.part(part.start * tokens..part.end * tokens);
             let out = rows_of_views(out, patches);
             let halves = Rows::scratch(rec, "halves", out.count, 2 * width, output);
-            self.local_norms[j].record(rec, rows_of_views(local, 1 + patches), None, halves.columns(0, width), patches);
-            let finished = Rows::scratch(rec, "finished", out.count, width, Element::F32);
-            final_norm.record(rec, rows_of_views(global, 1 + patches), None, finished, patches);
-            self.global_norms[j].record(rec, finished, None, halves.columns(width, width), 0);
+            let [local, global] = [local, global].map(|rows| rows_of_views(rows, leading + patches));
+            let [left, right] = [0, width].map(|first| halves.columns(first, width));
+            self.local_norms[j].record(rec, local, None, left, view);
+            match final_norm {
+                Some(norm) => {
+                    let finished = Rows::scratch(rec, "finished", out.count, width, Element::F32);
+                    norm.record(rec, global, None, finished, view);
+                    self.global_norms[j].record(rec, finished, None, right, Norm::ALL);
+                }
+                None => self.global_norms[j].record(rec, global, None, right, view),
+            }
             let kernel = kernels::AverageHalves {
                 halves: halves.tensor,
                 out: out.tensor,

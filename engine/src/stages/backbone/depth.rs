@@ -2,7 +2,7 @@ use super::transformer::{OutLayer, Transformer};
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
-    ops::{ParameterLayout, Parameters, Rows, place_columns},
+    ops::{ParameterLayout, Parameters, Rows, place_groups},
     stages::{BackboneArchitecture, DepthFeatures, Reference, ViewGrid},
     types::{Camera, relative_encoding},
 };
@@ -19,7 +19,7 @@ impl DepthBackbone {
 
     /// Host inputs besides pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
-        self.transformer.inputs(rec, grid, cameras)
+        self.transformer.special.inputs(rec, grid, cameras)
     }
 
     /// `images` are normalized, `[views, 3, height, width]` f32.
@@ -40,15 +40,19 @@ impl DepthBackbone {
         DepthFeatures { layers, cameras }
     }
 
-    fn feature(&self, rec: &mut Recorder, layer: usize, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
+    fn feature(&self, rec: &mut Recorder, layer: usize, out_layer: OutLayer, grid: ViewGrid) -> Rows {
+        let OutLayer { local, global, leading } = out_layer;
         let (width, patches) = (global.width, grid.patches());
         let halves = if self.alternates { 2 } else { 1 };
         let out = Rows::scratch(rec, "feature", grid.tokens(), halves * width, Element::F32);
-        let normed = out.columns((halves - 1) * width, width);
-        self.transformer.final_norm.record(rec, global, None, normed, patches);
-        for view in (0..grid.views).filter(|_| self.alternates) {
-            let first = view * (1 + patches) + 1;
-            place_columns(rec, local.part(first..first + patches), out.part(view * patches..(view + 1) * patches), 0);
+        let last = (halves - 1) * width;
+        let group = [leading, patches, leading + patches];
+        if self.alternates {
+            place_groups(rec, local, group, out, 0);
+        }
+        match self.transformer.final_norm {
+            Some(norm) => norm.record(rec, global, None, out.columns(last, width), [leading, patches]),
+            None => place_groups(rec, global, group, out, last),
         }
         rec.observe(&format!("bb/feat{layer}"), out.tensor);
         out
@@ -63,17 +67,15 @@ impl DepthBackbone {
         parameters: &Parameters,
     ) -> Result<()> {
         let poses = cameras.map(relative_encoding).transpose()?;
-        self.transformer.write(run, inputs, grid, poses.as_deref(), parameters)
+        self.transformer.special.write(run, inputs, grid, poses.as_deref(), parameters)
     }
 }
 
-fn camera_features(rec: &mut Recorder, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
+/// First special tokens.
+fn camera_features(rec: &mut Recorder, OutLayer { local, global, leading }: OutLayer, grid: ViewGrid) -> Rows {
     let out = Rows::scratch(rec, "cameras", grid.views, 2 * global.width, Element::F32);
-    for view in 0..grid.views {
-        let token = view * (1 + grid.patches());
-        for (half, rows) in [local, global].into_iter().enumerate() {
-            place_columns(rec, rows.part(token..token + 1), out.part(view..view + 1), half * global.width);
-        }
+    for (half, rows) in [local, global].into_iter().enumerate() {
+        place_groups(rec, rows, [0, 1, leading + grid.patches()], out, half * global.width);
     }
     rec.observe("bb/cam_feat", out.tensor);
     out

@@ -1,0 +1,71 @@
+use crate::Folder;
+use zipsplat::types::{read_ply, read_points};
+
+#[test]
+fn vggt_gives_depth_cameras_and_scenes() {
+    let folder = Folder::new().with_vggt();
+    let weights = "--weights @/vggt.safetensors";
+    let json = folder.run(&format!("depth @/photos {weights} --input-size 42 -o @/depth --json")).json();
+    assert_eq!((&json["views"], &json["width"], &json["height"]), (&2.into(), &42.into(), &28.into()));
+    let bytes = folder.read("depth/depths.safetensors");
+    let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    assert_eq!(values.tensor("depth").unwrap().shape(), [2, 28, 42]);
+    assert!(values.tensor("confidence").is_ok() && values.tensor("rays").is_err());
+
+    let line = format!("cameras @/photos --with vggt {weights} --matching-size 64");
+    let found = folder.run(&format!("{line} -o @/found.json --json")).json();
+    assert_eq!((&found["registered"], &found["program"]), (&2.into(), &"vggt-micro".into()), "{found}");
+    folder.run(&format!("depth @/photos {weights} --input-size 64 -o @/same")).success();
+    let cameras = |name: &str| folder.capture(name).frames.iter().map(|frame| frame.camera).collect::<Vec<_>>();
+    assert_eq!(cameras("found.json"), cameras("same/transforms.json"));
+    let points = folder.capture("found.json").points.expect("they lie beside it");
+    assert!(read_points(points).unwrap().positions.len() > 100);
+
+    let find = "--poses vggt --depth-weights @/vggt.safetensors --matching-size 64";
+    let micro = "--weights @/micro.safetensors --input-size 28x28";
+    assert_eq!(folder.run(&format!("reconstruct @/photos {find} {micro} -o @/a.ply --json")).json()["photos"], 2);
+    folder.run(&format!("reconstruct @/photos {weights} --input-size 42x42 --cameras vggt -o @/b.ply")).success();
+    assert!(read_ply(folder.path("b.ply")).unwrap().len() > 100);
+    assert!(folder.run("convert @/vggt.safetensors").success().contains("vggt-micro of VGGT"));
+    folder.run("convert @/vggt.safetensors @/half.safetensors --dtype f16").success();
+    folder.run("depth @/photos --weights @/half.safetensors --input-size 42 -o @/half").success();
+}
+
+#[test]
+fn the_decoder_on_vggt_reconstructs() {
+    let folder = Folder::new().with_vggt();
+    let weights = "--weights @/tokens.safetensors --input-size 28x42";
+    let plan = folder.run(&format!("info --plan --views 2 {weights} --json")).json();
+    let run = folder.run(&format!("reconstruct @/photos {weights} -o @/scene.ply --json")).json();
+    assert_eq!(plan["peak_bytes"], run["peak_bytes"]);
+    let options = "--views 24 --weights seeded:vggt --precision fp16 --json";
+    let plan = folder.run(&format!("--device none info --plan {options}")).json();
+    let weights_of = plan["weight_bytes"].as_u64().expect("a number");
+    assert!((1_800_000_000..2_600_000_000).contains(&weights_of), "{weights_of}");
+    let options = "--views 2 --input-size 28x28 --precision fp32 --warmup 0 --repeats 1 --json";
+    let rows = folder.run(&format!("bench forward --weights @/tokens.safetensors {options}")).json();
+    assert!(rows.as_array().is_some_and(|rows| rows.iter().any(|row| row["stage"] == "backbone")), "{rows}");
+}
+
+#[test]
+fn what_vggt_cannot_do_is_refused() {
+    let folder = Folder::new().with_depth().with_vggt();
+    folder.run("cameras @/photos --method vggt --weights @/vggt.safetensors -o @/known.json").success();
+    let known = "--cameras @/known.json";
+    let refused = ["cameras", "none: vggt-micro knows no cameras"];
+    folder.run(&format!("depth @/photos --weights @/vggt.safetensors {known} -o @/out")).fails(3, &refused);
+    for weights in ["vggt", "tokens"] {
+        let line =
+            format!("reconstruct @/photos --weights @/{weights}.safetensors {known} --input-size 42x42 -o @/a.ply");
+        folder.run(&line).fails(3, &refused);
+    }
+    let rays = "cameras @/photos --method vggt --weights @/vggt.safetensors --camera-source rays -o @/rays.json";
+    folder.run(rays).fails(3, &["rays", "Depth Anything 3"]);
+    for (method, weights, expected) in
+        [("vggt", "da3", "weights of VGGT"), ("da3", "vggt", "weights of Depth Anything 3")]
+    {
+        let line = format!("cameras @/photos --method {method} --weights @/{weights}.safetensors -o @/other.json");
+        folder.run(&line).fails(3, &[&format!("{weights}-micro"), expected]);
+    }
+    folder.run("cameras @/photos --method vggt -o @/none.json").fails_usage();
+}
