@@ -27,7 +27,7 @@ impl Noise {
     /// Returns an image of random bytes.
     pub fn image(&mut self, width: u32, height: u32) -> Image {
         let rgb = (0..3 * width as usize * height as usize).map(|_| (self.0.bits() >> 56) as u8).collect();
-        Image { width, height, rgb }
+        Image { width, height, rgb, mask: None }
     }
 
     /// Returns Gaussians in view of [`camera`], with coverage roughly independent of `count`.

@@ -135,6 +135,7 @@ pub fn image_of(photo: &Image) -> zs_image {
         width: photo.width,
         height: photo.height,
         pixels: photo.rgb.as_ptr().cast(),
+        mask: photo.mask.as_ref().map_or(std::ptr::null(), Vec::as_ptr),
         ..Versioned::new()
     }
 }

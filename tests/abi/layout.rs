@@ -25,7 +25,8 @@ fn structures() -> Vec<(String, usize)> {
         zs_progress { struct_size, reserved, fraction, stage, step, steps, loss, psnr, eta_seconds }
         zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, unusable_reason, uuid }
         zs_device_options { struct_size, validation, max_memory_bytes, device, cache_dir }
-        zs_image { struct_size, format, width, height, stride, pixels }
+        zs_image { struct_size, format, width, height, stride, pixels, mask, mask_stride }
+        zs_masks { struct_size, inverted, folder }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs, antialiased, reserved }
         zs_capture_info { struct_size, reserved, view_count, warnings }

@@ -91,6 +91,34 @@ unsafe extern "C" fn listen(log: *mut c_void, now: *const zs_progress) -> i32 {
 }
 
 #[test]
+fn masked_photos_are_rusts() {
+    let mut place = place(4);
+    let mask: Vec<u8> = (0..48 * 36).map(|at| u8::from(at % 48 > 20)).collect();
+    let bare = place.in_c(&zs_refine_options { steps: 9, ..Versioned::new() });
+    place.photos.iter_mut().for_each(|photo| photo.mask = Some(mask.clone()));
+    let (scene, _) = made(place.in_c(&zs_refine_options { steps: 9, ..Versioned::new() }));
+    let request = RefineOptions { length: RefineLength::Steps(9), ..RefineOptions::default() };
+    assert_same("scene", &bits(&scene), &bits(&place.in_rust(&request, usize::MAX).scene));
+    assert_ne!(bits(&scene), bits(&made(bare).0));
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let [photo, masks] = ["photo.png", "photo.png.png"].map(|name| folder.path().join(name));
+    place.photos[0].save_png(&photo).expect("a photo");
+    let rgb = mask.iter().flat_map(|kept| [255 * kept; 3]).collect();
+    Image::new(48, 36, rgb).expect("a mask").save_png(&masks).expect("a mask");
+    let [photo, masks] = [photo.as_path(), folder.path()].map(|path| c_string(path.to_str().expect("UTF-8")));
+    let masks = zs_masks { inverted: 1, folder: masks.as_ptr(), ..Versioned::new() };
+    let open = |out: *mut *mut _| unsafe { zs_image_buffer_open_masked(photo.as_ptr(), &masks, out) };
+    let opened = Object::new(zs_image_buffer_destroy, open);
+    let mut image = zs_image::new();
+    ok(unsafe { zs_image_buffer_get_image(opened.handle, &mut image) });
+    let found = unsafe { std::slice::from_raw_parts(image.mask, mask.len()) };
+    assert!(found.iter().zip(&mask).all(|(found, kept)| (*found == 0) == (*kept == 1)));
+    let wrong = zs_masks { inverted: 2, ..masks };
+    fails(unsafe { zs_image_buffer_open_masked(photo.as_ptr(), &wrong, null_mut()) }, ZS_ERROR_ARGUMENT, &[]);
+}
+
+#[test]
 fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     let place = place(9);
     let mut log = CallLog { steps: Vec::new(), stop_after: usize::MAX, action: zs_progress_action::ZS_STOP };

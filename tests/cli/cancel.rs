@@ -83,6 +83,7 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
         Scene::open(folder.path("best.ply")).expect("a whole scene");
         outcome.fails(130, &["cancelled"]);
         folder.remove("best.ply");
+        folder.remove("best.ply.checkpoint");
     }
 }
 
@@ -146,6 +147,7 @@ fn check_whole(folder: &Path) -> usize {
         "png" => drop(image::open(path).expect("a whole picture")),
         "gif" => assert_eq!(frames(path), 24),
         "safetensors" => drop(Checkpoint::open(path, None).expect("whole weights")),
+        "checkpoint" => assert!(std::fs::read(path).is_ok_and(|bytes| !bytes.is_empty())),
         "html" => assert!(std::fs::read_to_string(path).is_ok_and(|text| text.ends_with("</html>\n"))),
         "svg" => assert!(std::fs::read_to_string(path).is_ok_and(|text| text.ends_with("</svg>\n"))),
         "csv" => {

@@ -7,7 +7,7 @@ use zipsplat_tests::{
 };
 
 fn gray(value: u8, width: u32, height: u32) -> Image {
-    Image { width, height, rgb: vec![value; 3 * (width * height) as usize] }
+    Image { width, height, rgb: vec![value; 3 * (width * height) as usize], mask: None }
 }
 
 /// Two pairs and one unpaired picture.

@@ -15,6 +15,7 @@ mod heic;
 mod host;
 mod info;
 mod mapping;
+mod masks;
 mod measure;
 mod outputs;
 mod placed;
@@ -224,5 +225,5 @@ fn names(folder: &Path) -> Vec<String> {
 fn photo(width: u32, height: u32, shift: u32) -> Image {
     let pixel = |x: u32, y: u32| [5 * x + shift, 7 * y, 3 * (x + y)].map(|value| value as u8);
     let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
-    Image { width, height, rgb }
+    Image { width, height, rgb, mask: None }
 }

@@ -4,7 +4,7 @@ use crate::{
     Folder, Outcome,
     cameras::{OPTIONS_3, args, colmap, model, place},
 };
-use zipsplat::types::{Camera, Intrinsics, poses::CaptureView};
+use zipsplat::types::{Camera, Image, Intrinsics, poses::CaptureView};
 
 /// `$n` in `body` is the attempt; `found` are the expected photo counts.
 fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
@@ -135,4 +135,22 @@ fn a_focal_length_that_no_photo_has_is_told() {
         let text = folder.run("cameras @/place/images --colmap @/colmap -o @/found.json --overwrite").success();
         assert_eq!(text.contains("is unlikely"), unlikely, "{ratio}: {text}");
     }
+}
+
+#[test]
+fn masks_are_given_by_colmaps_names() {
+    let (folder, _) = place();
+    let features = "for image in $(cd \"$images\" && find . ! -type d); do echo \"$image\"; cmp \"$images/../masks/$image.png\" \"${0%/*}/mask.png\" && echo same; done >\"$0.masks\"";
+    colmap(&folder, "colmap", "3.8", OPTIONS_3, [features, "", "exit 1"]);
+    folder.make("masks");
+    for i in 0..4 {
+        let mask = image::GrayImage::from_fn(42, 28, |x, y| image::Luma([u8::from(x > y) * 9]));
+        mask.save(folder.path(&format!("masks/{i:03}.png"))).expect("a mask");
+    }
+    let expected: Vec<u8> = (0..28 * 42).flat_map(|at| [if at % 42 > at / 42 { 255 } else { 0 }; 3]).collect();
+    Image::new(42, 28, expected).expect("a mask").save_png(folder.path("mask.png")).expect("a mask");
+    folder.run("cameras @/place/images --masks @/masks --colmap @/colmap -o @/cameras.json");
+    let args = args(&folder, "colmap");
+    assert!(args.lines().next().is_some_and(|line| line.contains("--ImageReader.mask_path")), "{args}");
+    assert_eq!(folder.text("colmap.masks").matches("same").count(), 4, "{}", folder.text("colmap.masks"));
 }

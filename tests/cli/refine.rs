@@ -1,5 +1,8 @@
-use crate::{Folder, command};
-use std::sync::atomic::AtomicBool;
+use crate::{Folder, cancel::cancelled_when, command};
+use std::{
+    sync::atomic::AtomicBool,
+    time::{Duration, Instant},
+};
 use zipsplat::types::{Origin, Scene, World, read_world};
 
 /// 10 photos in `@/place`.
@@ -71,6 +74,27 @@ fn a_scene_is_refined_in_its_own_world() {
     let points = folder.capture("place").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len();
     assert_eq!(refined("first", "--init both").1, count + points);
+}
+
+#[test]
+fn an_interrupted_refinement_continues() {
+    let folder = place();
+    let line = |name: &str| format!("refine {PHOTOS} --init points --steps 400 -o @/{name}.ply");
+    folder.run(&line("whole")).success();
+    let checkpoint = folder.path("scene.ply.checkpoint");
+    for milliseconds in (1..).map(|i| 150 * i) {
+        let begin = Instant::now();
+        let is_late = || begin.elapsed() > Duration::from_millis(milliseconds);
+        assert_eq!(cancelled_when(&folder.line(&line("scene")), is_late).code, 130);
+        if checkpoint.exists() {
+            break;
+        }
+    }
+    let other = folder.run(&format!("{} --seed 1", line("scene")));
+    other.fails(3, &["scene.ply.checkpoint", "options", "delete"]);
+    let json = folder.run(&format!("{} --json", line("scene"))).json();
+    assert!(json["refined"]["resumed_step"].as_u64() > Some(0) && !checkpoint.exists(), "{json}");
+    assert_eq!(folder.read("scene.ply"), folder.read("whole.ply"));
 }
 
 #[test]

@@ -141,7 +141,7 @@ def test_photos_without_a_camera_are_skipped(model: zipsplat.Model, capture: Pat
         model.reconstruct([extra], capture, input_size=SIZE)
 
 
-def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path) -> None:
+def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path, tmp_path: Path) -> None:
     opened = zipsplat.Capture.open(capture)
     told: list[zipsplat.Progress] = []
     coarse = model.reconstruct(opened, input_size=SIZE)
@@ -161,6 +161,20 @@ def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path) -> N
     with pytest.raises(zipsplat.ArgumentError, match="exposure"):
         coarse.refine(opened, steps=1, exposure="of")  # type: ignore[arg-type]
     assert not same(coarse.refine(opened, steps=15, exposure="on"), sharp)
+    masks = np.ones((3, *photos.shape[1:3]), bool)
+    masks[:, :, :10] = False
+    masked = coarse.refine(opened, steps=15, masks=masks)
+    assert not same(masked, sharp) and same(masked, coarse.refine(opened, steps=15, masks=~masks, invert_masks=True))
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    for i, mask in enumerate(masks):
+        zipsplat.save_image(folder / f"{i}.png", np.repeat(mask[:, :, None], 3, 2).astype(np.uint8) * 255)
+    assert same(masked, coarse.refine(opened, steps=15, masks=folder))
+    assert len(model.reconstruct(opened, input_size=SIZE, masks=folder)) <= len(coarse)
+    with pytest.raises(zipsplat.ArgumentError, match="mask 0"):
+        coarse.refine(opened, steps=1, masks=masks[:, :-1])
+    with pytest.raises(zipsplat.ArgumentError, match="no alpha channel"):
+        coarse.refine(opened, steps=1, masks="alpha")
     moved = coarse.refine(opened, steps=15, optimize_cameras=True).refinement
     assert moved is not None and not np.array_equal(moved.cameras.camera_to_world, opened.cameras.camera_to_world)
     assert np.allclose(moved.cameras[0].camera_to_world, opened.cameras[0].camera_to_world)

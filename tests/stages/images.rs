@@ -198,7 +198,7 @@ fn squares_show_what_their_cameras_see() {
 fn extreme_photos_are_cropped_or_refused() {
     let thread = noise(1, 3000);
     assert_eq!(fit(&thread, 252, 252).unwrap().image.rgb.len(), 3 * 252 * 252);
-    let broken = Image { width: 10, height: 10, rgb: vec![0; 299] };
+    let broken = Image { width: 10, height: 10, rgb: vec![0; 299], mask: None };
     assert!(matches!(fit(&broken, 14, 14), Err(Error::Argument { .. })));
     assert!(Image::new(0, 5, Vec::new()).is_err());
 }

@@ -5,11 +5,12 @@ use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of an operation with another name; variants append a word to its name.
-const STEPS: [(&str, &str); 15] = [
+const STEPS: [(&str, &str); 16] = [
     ("features/draw", "features"),
     ("features/gather", "features"),
     ("features/lift", "features"),
     ("loss/dssim", "loss/gradient"),
+    ("loss/mask", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
     ("loss/value", "loss/gradient"),

@@ -1,7 +1,7 @@
 //! Captures: photos with cameras, split into inputs and targets.
 
 use crate::{
-    metrics::{self, mean_color, psnr, ssim, values},
+    metrics::{self, mean_color, psnr, values},
     photos,
     refinement::placed,
     session::Stage,
@@ -20,7 +20,7 @@ use zipsplat::{
     perceptual::Perceptual,
     stages::render::{RenderOptions, Renderer},
     types::{
-        Camera, ColorTransform, Image, PointCloud, Pose,
+        Camera, ColorTransform, Image, Masks, PointCloud, Pose,
         poses::{Capture, CaptureView, SceneScale, read_cloud},
         resample::resize_lanczos,
     },
@@ -30,6 +30,7 @@ pub struct Choice {
     poses: Capture,
     inputs: Vec<usize>,
     targets: Vec<usize>,
+    pub masks: Option<Masks>,
 }
 
 /// World: the first input's camera.
@@ -84,7 +85,8 @@ impl Choice {
         let others: Vec<usize> = (0..found.len()).filter(|i| !chosen.contains(i)).collect();
         let count = targets.map_or(others.len(), |targets| others.len().min(targets));
         let targets = (0..count).map(|i| found[others[i * others.len() / count]]).collect();
-        Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
+        let inputs = chosen.into_iter().map(|i| found[i]).collect();
+        Ok(Self { inputs, targets, poses, masks: None })
     }
 
     pub fn given(poses: Capture, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
@@ -95,7 +97,7 @@ impl Choice {
             let expected = format!("one, of {} frames counted from 0", poses.frames.len());
             return Err(Error::argument(format!("photo of frame {i} of {scene}"), found, expected));
         }
-        Ok(Self { poses, inputs, targets })
+        Ok(Self { poses, inputs, targets, masks: None })
     }
 
     /// Perturbs all inputs but the first: rotates by degrees, moves by percent of the unit, in
@@ -166,7 +168,9 @@ impl Choice {
         let frames: Vec<&CaptureView> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
         let (world, count) = (frames[0].camera.pose, self.inputs.len());
-        let read = photos::read(&paths, &frames, stage, |i, photo| {
+        let masks = self.masks.as_ref();
+        masks.map_or(Ok(()), |masks| masks.check(&paths))?;
+        let read = photos::read(&paths, &frames, masks, stage, |i, photo| {
             let label = format!("camera {i}");
             let compared = posed(frames[i], &photo, seeing, &world, &label)?;
             let seen = if i < count { seeing.views(&photo, &frames[i].camera, &label)? } else { Vec::new() };
@@ -221,8 +225,7 @@ impl ViewSplit {
 
     pub fn score_lpips(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
-            let size = [view.image.width, view.image.height];
-            score.lpips = metrics::lpips(Some(lpips), [drawn, &values(&view.image)], size)?;
+            score.lpips = metrics::masked_lpips(Some(lpips), &view.image, drawn)?;
         }
         Ok(())
     }
@@ -230,7 +233,8 @@ impl ViewSplit {
     pub fn score_colors(&self, scores: &mut [Score], drawn: &[Vec<f32>]) {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
             let truth = values(&view.image);
-            let mut corrected = ColorTransform::fit(drawn, &truth).apply(drawn);
+            let [drawn, truth] = [drawn, &truth].map(|values| view.image.kept(values));
+            let mut corrected = ColorTransform::fit(&drawn, &truth).apply(&drawn);
             corrected.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
             score.color_corrected_psnr = Some(psnr(&corrected, &truth));
         }
@@ -238,10 +242,12 @@ impl ViewSplit {
 
     fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
         let (truth, near) = (values(&view.image), values(&alike(&self.nearest(view).image, &view.image)));
+        let ssim = metrics::masked_ssim(&view.image, drawn, &truth);
+        let [drawn, truth, near] = [drawn, &truth, &near].map(|values| view.image.kept(values));
         Score {
             view: view.name.clone(),
-            psnr: psnr(drawn, &truth),
-            ssim: ssim(drawn, &truth, view.image.width as usize, view.image.height as usize),
+            psnr: psnr(&drawn, &truth),
+            ssim,
             nearest_psnr: psnr(&near, &truth),
             mean_color_psnr: psnr(&mean_color(&near), &truth),
             lpips: None,

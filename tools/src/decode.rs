@@ -131,7 +131,7 @@ pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> 
     }
     let mut rgb = vec![0; 3 * width as usize * height as usize];
     from.read_exact(&mut rgb)?;
-    Ok(Some(Image { width, height, rgb }))
+    Ok(Some(Image { width, height, rgb, mask: None }))
 }
 
 pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {

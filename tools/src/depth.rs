@@ -20,7 +20,7 @@ use zipsplat::{
     ops::Precision,
     reconstruct::Ratio,
     types::{
-        Camera, Fitting, Image, Pose, Scene, bounded_views,
+        Camera, Fitting, Image, Masks, Pose, Scene, bounded_views,
         poses::{CaptureView, read_cloud},
         preprocess::View,
     },
@@ -56,6 +56,7 @@ pub struct PredictorOptions<'a> {
     pub checkpoint: &'a DepthCheckpoint,
     /// Longer side of the network's input [default: the network's own].
     pub side: Option<u32>,
+    pub masks: Option<Masks>,
     pub cameras: CamerasFrom,
     pub arithmetic: &'a ArithmeticOption,
     pub request: DepthOptions,
@@ -66,6 +67,7 @@ impl Quality {
         PredictorOptions {
             checkpoint,
             side: self.side(),
+            masks: None,
             cameras: CamerasFrom::default(),
             arithmetic: &self.arithmetic,
             request: DepthOptions {
@@ -147,7 +149,7 @@ impl PredictorOptions<'_> {
     }
 
     pub fn read(&self, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<PreparedPhotos> {
-        self.input().read(photos, known, stage)
+        self.input().read(photos, known, self.masks.as_ref(), stage)
     }
 
     fn input(&self) -> InputSize {
@@ -172,8 +174,14 @@ struct InputSize {
 }
 
 impl InputSize {
-    fn read(self, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<PreparedPhotos> {
-        let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
+    fn read(
+        self,
+        photos: &[PathBuf],
+        known: &[&CaptureView],
+        masks: Option<&Masks>,
+        stage: &Stage<'_>,
+    ) -> Result<PreparedPhotos> {
+        let read = photos::read(photos, known, masks, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(read.len(), |i| Ok(&read[i]), self.fitting, self.side)?;
         let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
         Ok(PreparedPhotos { photos: photos.to_vec(), views, known_cameras })
@@ -189,8 +197,14 @@ impl PreparedPhotos {
 }
 
 impl DepthPredictor {
-    pub fn prepare(&self, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<PreparedPhotos> {
-        self.input.read(photos, known, stage)
+    pub fn prepare(
+        &self,
+        photos: &[PathBuf],
+        known: &[&CaptureView],
+        masks: Option<&Masks>,
+        stage: &Stage<'_>,
+    ) -> Result<PreparedPhotos> {
+        self.input.read(photos, known, masks, stage)
     }
 
     pub fn keep(&mut self, ratio: Ratio) {

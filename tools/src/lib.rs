@@ -17,6 +17,7 @@ mod heic;
 mod html;
 mod legacy;
 mod lifted;
+mod masks;
 pub mod metrics;
 mod npy;
 mod options;

@@ -1,7 +1,12 @@
 //! Image similarity: PSNR and SSIM as in scikit-image's `skimage.metrics`, and LPIPS.
 
 use clap::{Args, ValueEnum};
-use zipsplat::{Device, Result, perceptual::Perceptual, stages::lpips::LpipsNetwork, types::Image};
+use zipsplat::{
+    Device, Result,
+    perceptual::Perceptual,
+    stages::lpips::LpipsNetwork,
+    types::{Image, MASKED},
+};
 
 /// Standard deviation of SSIM's window, in pixels.
 const SIGMA: f64 = 1.5;
@@ -39,6 +44,24 @@ pub fn mean_color(picture: &[f32]) -> Vec<f32> {
 /// gaussian_weights=True)`: mean over channels and complete windows, K1 = 0.01, K2 = 0.03, sample
 /// variances.
 pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
+    ssim_where(a, b, [width, height], |_| true)
+}
+
+/// Returns the SSIM of two pictures that are gray where the mask of `image` ignores it, over the
+/// windows whose center it keeps. `b` are the image's values.
+pub fn masked_ssim(image: &Image, a: &[f32], b: &[f32]) -> f64 {
+    let [a, b] = hidden(image, a, b);
+    ssim_where(&a, &b, [image.width as usize, image.height as usize], |center| !image.ignores(center))
+}
+
+/// Returns both pictures, gray where the mask of `image` ignores it.
+pub fn hidden(image: &Image, a: &[f32], b: &[f32]) -> [Vec<f32>; 2] {
+    let mut pictures = [a, b].map(<[f32]>::to_vec);
+    pictures.iter_mut().for_each(|picture| image.hide(picture, f32::from(MASKED) / 255.0));
+    pictures
+}
+
+fn ssim_where(a: &[f32], b: &[f32], [width, height]: [usize; 2], counts: impl Fn(usize) -> bool) -> f64 {
     assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
     let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {
         let values = (0..width * height).map(|i| value(f64::from(a[3 * i + channel]), f64::from(b[3 * i + channel])));
@@ -51,12 +74,14 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     for channel in 0..3 {
         let (mean_a, mean_b) = (mean(&|a, _| a, channel), mean(&|_, b| b, channel));
         let (aa, bb, ab) = (mean(&|a, _| a * a, channel), mean(&|_, b| b * b, channel), mean(&|a, b| a * b, channel));
-        for i in 0..mean_a.len() {
+        let inside = width - 2 * RADIUS;
+        let centers = (0..mean_a.len()).map(|i| (i / inside + RADIUS) * width + i % inside + RADIUS);
+        for (i, _) in centers.enumerate().filter(|(_, center)| counts(*center)) {
+            count += 1;
             let (a, b) = (mean_a[i], mean_b[i]);
             let [variances, covariance] = [aa[i] - a * a + bb[i] - b * b, ab[i] - a * b].map(|value| of_sample * value);
             sum += (2.0 * a * b + c1) * (2.0 * covariance + c2) / ((a * a + b * b + c1) * (variances + c2));
         }
-        count += mean_a.len();
     }
     sum / count as f64
 }
@@ -112,6 +137,14 @@ impl LpipsOption {
     pub fn is_default(&self) -> bool {
         self.lpips.is_none()
     }
+}
+
+/// Returns the LPIPS of a picture and `image`, both gray where its mask ignores pixels, per kept
+/// fraction of the pixels; `None` as [`lpips`].
+pub fn masked_lpips(network: Option<&mut Perceptual>, image: &Image, picture: &[f32]) -> Result<Option<f64>> {
+    let [a, b] = hidden(image, picture, &values(image));
+    let kept = image.kept(&image.rgb).len() as f64 / image.rgb.len() as f64;
+    Ok(lpips(network, [&a, &b], [image.width, image.height])?.map(|distance| distance / kept))
 }
 
 /// `None` without a network, or for pictures that are too small. Pictures are

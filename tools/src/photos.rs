@@ -20,7 +20,7 @@ use zipsplat::{
     Error, Result,
     refine::Photos,
     types::{
-        Image, PHOTO_EXTENSIONS, is_photo, natural_order,
+        Image, Masks, PHOTO_EXTENSIONS, is_photo, natural_order,
         poses::{Capture, CaptureView},
         preprocess::crop_to_aspect,
     },
@@ -281,15 +281,16 @@ pub fn spread(photos: Vec<PathBuf>, count: Option<u32>) -> Vec<PathBuf> {
 pub struct PhotoFiles<'a> {
     paths: &'a [PathBuf],
     frames: &'a [&'a CaptureView],
+    masks: Option<Masks>,
     sizes: Vec<[u32; 2]>,
 }
 
 impl<'a> PhotoFiles<'a> {
     /// Reads the sizes of photos.
-    pub fn new(paths: &'a [PathBuf], frames: &'a [&'a CaptureView]) -> Result<Self> {
+    pub fn new(paths: &'a [PathBuf], frames: &'a [&'a CaptureView], masks: Option<Masks>) -> Result<Self> {
         let size = |path: &PathBuf| if frames.is_empty() { Image::size(path) } else { Image::size_as_stored(path) };
         let sizes = paths.par_iter().map(|path| size(path).map(<[u32; 2]>::from));
-        Ok(Self { paths, frames, sizes: sizes.collect::<Vec<_>>().into_iter().collect::<Result<_>>()? })
+        Ok(Self { paths, frames, masks, sizes: sizes.collect::<Vec<_>>().into_iter().collect::<Result<_>>()? })
     }
 }
 
@@ -303,24 +304,30 @@ impl Photos for PhotoFiles<'_> {
     }
 
     fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
-        open(&self.paths[i], self.frames.get(i)).map(Cow::Owned)
+        open(&self.paths[i], self.frames.get(i), self.masks.as_ref()).map(Cow::Owned)
     }
 }
 
-fn open(path: &Path, frame: Option<&&CaptureView>) -> Result<Image> {
-    frame.map_or_else(|| Image::open(path), |frame| frame.open(path))
+fn open(path: &Path, frame: Option<&&CaptureView>, masks: Option<&Masks>) -> Result<Image> {
+    match (frame, masks) {
+        (None, None) => Image::open(path),
+        (None, Some(masks)) => masks.open(path, false),
+        (Some(frame), None) => frame.open(path),
+        (Some(frame), Some(masks)) => frame.open_masked(path, masks),
+    }
 }
 
 /// Reads photos concurrently and maps them with `make`, by index.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&CaptureView],
+    masks: Option<&Masks>,
     stage: &Stage<'_>,
     make: impl Fn(usize, Image) -> Result<T> + Sync,
 ) -> Result<Vec<T>> {
     let done = AtomicUsize::new(0);
     let read = |(i, path): (usize, &PathBuf)| {
-        let made = make(i, open(path, frames.get(i))?)?;
+        let made = make(i, open(path, frames.get(i), masks)?)?;
         let done = 1 + done.fetch_add(1, atomic::Ordering::Relaxed);
         stage.reach(done as f64 / photos.len() as f64)?;
         Ok(made)

@@ -7,7 +7,7 @@ use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
     types::{
-        Camera, Image, Pose,
+        Camera, Image, Masks, Pose,
         poses::CaptureView,
         preprocess::{PixelMap, View, fit},
         tile_count, tiles,
@@ -94,8 +94,15 @@ impl Crop {
     }
 
     /// One frame each, or none.
-    pub fn load(self, photos: &[PathBuf], frames: &[&CaptureView], size: Size, stage: &Stage<'_>) -> Result<Views> {
-        let read = photos::read(photos, frames, stage, |i, photo| {
+    pub fn load(
+        self,
+        photos: &[PathBuf],
+        frames: &[&CaptureView],
+        masks: Option<&Masks>,
+        size: Size,
+        stage: &Stage<'_>,
+    ) -> Result<Views> {
+        let read = photos::read(photos, frames, masks, stage, |i, photo| {
             let camera = frames.get(i).map(|frame| &frame.camera);
             let views = self.views(&photo, camera, size, &format!("camera {i}"))?;
             Ok(([photo.width, photo.height], views))

@@ -120,7 +120,8 @@ fn resized(photo: &Image, [width, height]: [u32; 2], cubic: bool) -> Result<Imag
     let lines: Vec<Vec<f64>> = photo.rgb.par_chunks(3 * photo.width as usize).map(across).collect();
     let round = |x: f64| if cubic { (x + 0.5).floor() } else { x.round_ties_even() }.clamp(0.0, 255.0) as u8;
     let down = |y: &Vec<(usize, f64)>| (0..3 * xs.len()).map(|i| round(sum(y, &|at| lines[at][i]))).collect::<Vec<_>>();
-    Image::new(width, height, ys.par_iter().flat_map_iter(down).collect())
+    let rgb = ys.par_iter().flat_map_iter(down).collect();
+    Ok(Image { width, height, rgb, mask: photo.resized_mask([width, height]) })
 }
 
 fn area_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {

@@ -28,6 +28,8 @@ pub struct Image {
     pub height: u32,
     /// `[height][width][rgb]`, top row first.
     pub rgb: Vec<u8>,
+    /// `[height][width]`: pixels of 0 are ignored, see [`Image::with_mask`]. `None` keeps all.
+    pub mask: Option<Vec<u8>>,
 }
 
 impl fmt::Debug for Image {
@@ -42,7 +44,7 @@ impl Image {
     /// # Errors
     /// [`Error::Argument`] if a side is zero or the length is not `3 * width * height`.
     pub fn new(width: u32, height: u32, rgb: Vec<u8>) -> Result<Self> {
-        let image = Self { width, height, rgb };
+        let image = Self { width, height, rgb, mask: None };
         image.validate()?;
         Ok(image)
     }
@@ -153,13 +155,13 @@ impl Image {
             let found = format!("{width}x{height} at ({left}, {top})");
             return Err(Error::argument("crop", found, format!("a rectangle within {self:?}")));
         }
-        let row = 3 * width as usize;
-        let mut rgb = Vec::with_capacity(row * height as usize);
-        for y in top..top + height {
-            let start = 3 * (y as usize * self.width as usize + left as usize);
-            rgb.extend_from_slice(&self.rgb[start..start + row]);
-        }
-        Self::new(width, height, rgb)
+        let cut = |values: &[u8], channels: usize| -> Vec<u8> {
+            let start = |y: u32| channels * (y as usize * self.width as usize + left as usize);
+            let row = |y: u32| &values[start(y)..start(y) + channels * width as usize];
+            (top..top + height).flat_map(row).copied().collect()
+        };
+        let mask = self.mask.as_ref().map(|mask| cut(mask, 1));
+        Ok(Self { width, height, rgb: cut(&self.rgb, 3), mask })
     }
 
     /// # Errors
@@ -170,7 +172,12 @@ impl Image {
             let found = format!("{} bytes for {}x{}", self.rgb.len(), self.width, self.height);
             return Err(Error::argument("image", found, format!("{expected} bytes and no empty side")));
         }
-        Ok(())
+        match &self.mask {
+            Some(mask) if 3 * mask.len() as u64 != expected => {
+                Err(Error::argument("mask", format!("{} bytes", mask.len()), format!("{}, one a pixel", expected / 3)))
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -288,7 +295,7 @@ fn stored_size(path: &Path) -> Result<((u32, u32), Orientation)> {
     Ok((decoder.dimensions(), orientation))
 }
 
-fn decode(path: &Path) -> Result<(DynamicImage, Orientation)> {
+pub(super) fn decode(path: &Path) -> Result<(DynamicImage, Orientation)> {
     decode_bytes(&read(path)?).map_err(|reason| Error::format(path, None, reason))
 }
 
@@ -324,7 +331,7 @@ fn swaps_sides(orientation: Orientation) -> bool {
     matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
 }
 
-fn into_rgb(decoded: DynamicImage) -> Vec<u8> {
+pub(super) fn into_rgb(decoded: DynamicImage) -> Vec<u8> {
     use DynamicImage::{ImageLuma16, ImageLumaA16, ImageRgb16, ImageRgba16};
     match decoded {
         // Pillow keeps the high byte; the crate's conversion rounds.

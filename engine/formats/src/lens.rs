@@ -103,16 +103,26 @@ impl Lens {
         photo.validate()?;
         let (lens, pinhole) = (self.intrinsics, self.pinhole("photo")?);
         let [lens, pinhole] = [lens, pinhole].map(|intrinsics| intrinsics.resized(photo.width, photo.height));
+        let place = |row: usize, column: usize| {
+            let x = (column as f64 + 0.5 - pinhole.cx) / pinhole.fx;
+            let y = (row as f64 + 0.5 - pinhole.cy) / pinhole.fy;
+            let [x, y] = self.distortion.apply([x, y]);
+            (lens.fx * x + lens.cx, lens.fy * y + lens.cy)
+        };
+        let (width, size) = (photo.width as usize, [photo.width, photo.height]);
         let mut rgb = vec![0; photo.rgb.len()];
-        rgb.par_chunks_exact_mut(3 * photo.width as usize).enumerate().for_each(|(row, out)| {
+        rgb.par_chunks_exact_mut(3 * width).enumerate().for_each(|(row, out)| {
             for (column, pixel) in out.chunks_exact_mut(3).enumerate() {
-                let x = (column as f64 + 0.5 - pinhole.cx) / pinhole.fx;
-                let y = (row as f64 + 0.5 - pinhole.cy) / pinhole.fy;
-                let [x, y] = self.distortion.apply([x, y]);
-                pixel.copy_from_slice(&sample(photo, lens.fx * x + lens.cx, lens.fy * y + lens.cy));
+                let (x, y) = place(row, column);
+                pixel.copy_from_slice(&sample(photo, x, y));
             }
         });
-        Image::new(photo.width, photo.height, rgb)
+        let mask_at = |mask: &[u8], at: usize| {
+            let (x, y) = place(at / width, at % width);
+            Image::mask_around(mask, size, x, y)
+        };
+        let mask = photo.mask.as_ref().map(|mask| (0..mask.len()).map(|at| mask_at(mask, at)).collect());
+        Ok(Image { width: photo.width, height: photo.height, rgb, mask })
     }
 
     fn zoomed(&self, zoom: f64) -> Intrinsics {

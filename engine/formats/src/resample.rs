@@ -38,7 +38,7 @@ fn resize(image: &Image, [width, height]: [u32; 2], filter: Filter) -> Result<Im
     } else {
         horizontal.unwrap_or_else(|| image.rgb.clone())
     };
-    Image::new(width, height, rgb)
+    Ok(Image { width, height, rgb, mask: image.resized_mask([width, height]) })
 }
 
 /// Inputs of one output: `weights[i]` applies to input `first + i`.
@@ -117,6 +117,6 @@ fn bicubic(x: f64) -> f64 {
     }
 }
 
-fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {
+pub(super) fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {
     (low + 0.5).max(0.0) as usize..((high + 0.5) as usize).min(inputs as usize)
 }

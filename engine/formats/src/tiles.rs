@@ -71,19 +71,27 @@ fn turned(lens: &Intrinsics, [left, top]: [f64; 2], edge: f64, side: u32) -> (DM
 
 fn sample(photo: &Image, lens: &Intrinsics, to: &Intrinsics, turn: &DMat3) -> Result<Image> {
     let offset = |sample: u32| (f64::from(sample) + 0.5) / f64::from(SAMPLES);
+    let place = |u: f64, v: f64| {
+        let ray = *turn * DVec3::new((u - to.cx) / to.fx, (v - to.cy) / to.fy, 1.0);
+        (lens.fx * ray.x / ray.z + lens.cx, lens.fy * ray.y / ray.z + lens.cy)
+    };
     let pixel = |x: u32, y: u32| {
         let mut sum = [0.0; 3];
         for (i, j) in (0..SAMPLES).flat_map(|j| (0..SAMPLES).map(move |i| (i, j))) {
-            let (u, v) = (f64::from(x) + offset(i), f64::from(y) + offset(j));
-            let ray = *turn * DVec3::new((u - to.cx) / to.fx, (v - to.cy) / to.fy, 1.0);
-            let color = bilinear(photo, lens.fx * ray.x / ray.z + lens.cx, lens.fy * ray.y / ray.z + lens.cy);
+            let (u, v) = place(f64::from(x) + offset(i), f64::from(y) + offset(j));
+            let color = bilinear(photo, u, v);
             sum.iter_mut().zip(color).for_each(|(sum, value)| *sum += value);
         }
         sum.map(|value| (value / f64::from(SAMPLES * SAMPLES)).round() as u8)
     };
     let rows = (0..to.height).into_par_iter();
     let rgb = rows.flat_map_iter(|y| (0..to.width).flat_map(move |x| pixel(x, y))).collect();
-    Image::new(to.width, to.height, rgb)
+    let mask_at = |mask: &[u8], at: u32| {
+        let (x, y) = place(f64::from(at % to.width) + 0.5, f64::from(at / to.width) + 0.5);
+        Image::mask_around(mask, [photo.width, photo.height], x, y)
+    };
+    let mask = photo.mask.as_ref().map(|mask| (0..to.width * to.height).map(|at| mask_at(mask, at)).collect());
+    Ok(Image { width: to.width, height: to.height, rgb, mask })
 }
 
 fn bilinear(photo: &Image, x: f64, y: f64) -> [f64; 3] {

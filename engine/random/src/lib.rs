@@ -19,6 +19,11 @@ impl Random {
         Self(mix(Self::nth(seed, 0).wrapping_add(stream.wrapping_mul(INCREMENT))))
     }
 
+    /// Returns the state, to be kept or set.
+    pub fn state(&mut self) -> &mut u64 {
+        &mut self.0
+    }
+
     /// Returns number `i` of a seed.
     pub fn nth(seed: u64, i: u64) -> u64 {
         mix(seed.wrapping_add(i.wrapping_add(1).wrapping_mul(INCREMENT)))

@@ -30,7 +30,7 @@ impl DepthPrediction {
     /// Returns a Gaussian per confident pixel of the kept patches, in the cameras' world.
     ///
     /// Without a head they are isotropic, with opacity by confidence. Sky is dropped; `keep` limits
-    /// patches to their most visible Gaussians.
+    /// patches to their most visible Gaussians. Masked pixels have none.
     pub fn scene(&self, cameras: &[Camera], images: &[Image], keep: Option<usize>) -> Scene {
         let of_head = self.views.iter().any(|view| view.gaussians.is_some());
         let mut scene = Scene { sh_degree: if of_head { 2 } else { 0 }, ..Scene::default() };
@@ -59,7 +59,8 @@ impl DepthPrediction {
                     round
                 }
             };
-            for (i, _) in at.iter().enumerate().filter(|(_, at)| !view.shows(**at)) {
+            let unseen = |at: usize| !view.shows(at) || images[i].ignores(at);
+            for (i, _) in at.iter().enumerate().filter(|(_, at)| unseen(**at)) {
                 (made.opacities[i], made.scales[i]) = (0.0, [0.0; 3]);
             }
             scene.append(made);

@@ -13,7 +13,7 @@ impl DepthPrediction {
         let mut kept = Vec::new();
         for (view, depths) in self.views.iter().enumerate() {
             let confident = |i: usize| depths.confidence.as_ref().is_none_or(|confidence| confidence[i] >= least);
-            let usable = |i: &usize| confident(*i) && depths.shows(*i);
+            let usable = |i: &usize| confident(*i) && depths.shows(*i) && !images[view].ignores(*i);
             kept.extend((0..depths.depth.len()).filter(usable).map(|i| (view, i)));
         }
         let step = kept.len().div_ceil(most.max(1)).max(1);

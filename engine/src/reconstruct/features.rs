@@ -1,7 +1,10 @@
-use super::{Model, Patches, ReconstructOptions, Reconstruction, Shape, network::FeatureTensors, write_choice};
+use super::{
+    Model, Patches, ReconstructOptions, Reconstruction, Shape, network::FeatureTensors, patches::masked_patches,
+    write_choice,
+};
 use crate::{
     Result,
-    gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
+    gpu::{Device, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
         render::{SceneMemory, SceneTensors},
@@ -16,6 +19,7 @@ pub struct Features {
     tensors: FeatureTensors,
     memory: Arc<Resident>,
     scene_scale: f64,
+    masked: Option<Vec<bool>>,
     /// Time per stage.
     pub times: StageTimes,
 }
@@ -62,6 +66,17 @@ impl SceneTokens {
         self.scene_scale
     }
 
+    /// Returns the tokens of these numbers.
+    fn among(&self, device: &Device, numbers: &[usize]) -> Result<Self> {
+        let all: Vec<f32> = self.memory.read(self.tensor)?;
+        let rows = numbers.iter().flat_map(|token| &all[token * self.width..(token + 1) * self.width]);
+        let mut layout = ResidentLayout::new(device.limits());
+        let tensor = layout.add::<f32>(numbers.len() * self.width);
+        let memory = Arc::new(Resident::new(device, &layout)?);
+        memory.write(tensor, &rows.copied().collect::<Vec<_>>())?;
+        Ok(Self { memory, tensor, count: numbers.len(), ..*self })
+    }
+
     /// Memory of the tensor.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.memory
@@ -86,7 +101,8 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
         self.write_photos(&mut run, &inputs, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        Ok(Features { shape, tensors, memory, scene_scale: options.scale(), times })
+        let masked = masked_patches(shape.grid, images);
+        Ok(Features { shape, tensors, memory, scene_scale: options.scale(), masked, times })
     }
 
     /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection
@@ -111,10 +127,14 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &options)?;
         let times = run.execute_with(progress)?;
+        let mut patches = Patches::of(&run, choice, shape, &options)?;
+        let unmasked = patches.drop_masked(features.masked.as_deref());
+        scene.show_tokens(unmasked.as_deref(), shape.tokens)?;
         let gaussians = scene.scene(degree, near(features.scene_scale), false);
         Ok(Reconstruction {
             tokens: shape.tokens,
-            patches: Patches::of(&run, choice, shape, &options)?,
+            patches,
+            unmasked,
             times,
             outline: Profile::outline(run.plan()),
             skipped_passes: shape.skipped_passes(),
@@ -125,6 +145,7 @@ impl Model {
     }
 
     /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`.
+    /// Tokens of masked patches are left out.
     pub fn tokens(
         &self,
         features: &Features,
@@ -143,7 +164,12 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, options)?;
         run.execute_with(progress)?;
-        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale })
+        let tokens = SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale };
+        let mut patches = Patches::of(&run, choice, shape, options)?;
+        match patches.drop_masked(features.masked.as_deref()) {
+            Some(unmasked) => tokens.among(&self.device, &unmasked),
+            None => Ok(tokens),
+        }
     }
 
     fn shape_of(&self, features: &Features, options: &ReconstructOptions) -> Result<Shape> {

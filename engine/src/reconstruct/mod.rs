@@ -26,6 +26,7 @@ use crate::{
     weights::{Architecture, Checkpoint},
 };
 use network::{Choice, Inputs};
+use patches::masked_patches;
 use std::{ops::ControlFlow, sync::Mutex};
 
 /// A reconstructed scene.
@@ -39,6 +40,8 @@ pub struct Reconstruction {
     pub tokens: usize,
     /// Source patches; tokens have equally many consecutive Gaussians.
     pub patches: Patches,
+    /// Tokens of unmasked patches, if photos have masks: those of `patches`.
+    pub unmasked: Option<Vec<usize>>,
     /// Time per stage.
     pub times: StageTimes,
     /// Work per kernel.
@@ -85,9 +88,13 @@ struct Recorded {
 const SCENES: usize = 2;
 
 impl Reconstruction {
-    /// Reads the Gaussians, in their world.
+    /// Reads the Gaussians of unmasked patches, in their world.
     pub fn to_scene(&self) -> Result<Scene> {
         let mut scene = self.gaussians.read()?;
+        if let Some(tokens) = &self.unmasked {
+            let each = scene.len() / self.tokens;
+            scene.keep(&tokens.iter().flat_map(|token| token * each..(token + 1) * each).collect::<Vec<_>>());
+        }
         if let Some(pose) = self.placement.as_ref().and_then(|placement| placement.pose) {
             scene.place(1.0, &pose);
         }
@@ -217,10 +224,14 @@ impl Model {
         run.replace_resident(scenes[free].resident().clone());
         self.write_inputs(run, tensors, shape, images, options)?;
         let times = run.execute_with(progress)?;
+        let mut patches = Patches::of(run, tensors.choice, shape, options)?;
+        let unmasked = patches.drop_masked(masked_patches(shape.grid, images).as_deref());
+        scenes[free].show_tokens(unmasked.as_deref(), shape.tokens)?;
         let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(options.scale()), false);
         Ok(Reconstruction {
             tokens: shape.tokens,
-            patches: Patches::of(run, tensors.choice, shape, options)?,
+            patches,
+            unmasked,
             times,
             outline: Profile::outline(run.plan()),
             skipped_passes: shape.skipped_passes(),
@@ -315,10 +326,10 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, options: &Reconstru
     Ok(())
 }
 
-/// RGB8 to `[views, 3, height, width]` f32 in 0..1.
+/// RGB8 to `[views, 3, height, width]` f32 in 0..1. The network sees masked pixels as gray.
 pub(crate) fn planar(images: &[Image]) -> Vec<f32> {
     let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
-    for image in images {
+    for image in images.iter().map(Image::hidden) {
         for channel in 0..3 {
             out.extend(image.rgb[channel..].iter().step_by(3).map(|v| *v as f32 / 255.0));
         }

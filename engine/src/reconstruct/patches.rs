@@ -4,7 +4,7 @@ use crate::{
     cameras::{CameraEstimate, Correspondence, find_cameras},
     gpu::Run,
     stages::ViewGrid,
-    types::Scene,
+    types::{Image, Scene},
 };
 use glam::{DVec2, DVec3};
 
@@ -15,6 +15,23 @@ pub struct Patches {
     /// Unless all are kept.
     kept: Option<Vec<u32>>,
     posed: bool,
+}
+
+/// Fraction of a patch's pixels that are masked if the patch is.
+const MASKED: f64 = 0.5;
+
+/// Returns whether each patch is masked, if any of `images` has a mask.
+pub(super) fn masked_patches(grid: ViewGrid, images: &[Image]) -> Option<Vec<bool>> {
+    let side = grid.patch_size;
+    let is_masked = |index: usize| {
+        let (image, patch) = (&images[index / grid.patches()], index % grid.patches());
+        let corner = (patch / grid.columns * grid.columns * side + patch % grid.columns) * side;
+        let pixel = |i: usize| corner + i / side * grid.columns * side + i % side;
+        let ignored = (0..side * side).filter(|i| image.ignores(pixel(*i))).count();
+        ignored as f64 > MASKED * (side * side) as f64
+    };
+    let has_mask = images.iter().any(|image| image.mask.is_some());
+    has_mask.then(|| (0..grid.tokens()).map(is_masked).collect())
 }
 
 impl Patches {
@@ -30,6 +47,15 @@ impl Patches {
             (None, None) => None,
         };
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })
+    }
+
+    /// Drops the tokens of masked patches: a token's Gaussians show what its patch does. Returns the
+    /// other tokens' numbers, if images have masks.
+    pub(super) fn drop_masked(&mut self, masked: Option<&[bool]>) -> Option<Vec<usize>> {
+        let (masked, all) = (masked?, self.indices());
+        let tokens: Vec<usize> = (0..all.len()).filter(|token| !masked[all[*token] as usize]).collect();
+        self.kept = Some(tokens.iter().map(|token| all[*token]).collect());
+        Some(tokens)
     }
 
     /// Patch index per token.

@@ -32,9 +32,9 @@ impl Adam {
 /// Adam on the host, for a photo's few numbers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HostAdam<const N: usize> {
-    first: [f64; N],
-    second: [f64; N],
-    steps: i32,
+    pub first: [f64; N],
+    pub second: [f64; N],
+    pub steps: i32,
 }
 
 impl<const N: usize> Default for HostAdam<N> {

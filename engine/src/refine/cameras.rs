@@ -1,5 +1,8 @@
-use super::{Adam, adam::HostAdam};
-use crate::types::{Camera, Pose};
+use super::{Adam, adam::HostAdam, checkpoint::State};
+use crate::{
+    Result,
+    types::{Camera, Pose},
+};
 use glam::{DMat3, DQuat, DVec3};
 
 /// Fraction of steps with fixed cameras: early scene errors would move exact cameras.
@@ -36,6 +39,13 @@ impl Cameras {
         Self { cameras: cameras.to_vec(), adams: (0..cameras.len()).map(adam).collect(), rates }
     }
 
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
+        let mut adams: Vec<_> = self.adams.iter().map(|adam| adam.map(|adam| adam.0)).collect();
+        state.adams("cameras.adam", &mut adams)?;
+        self.adams = adams.into_iter().map(|adam| adam.map(PoseAdam)).collect();
+        poses(state, "cameras", &mut self.cameras)
+    }
+
     pub fn all(&self) -> &[Camera] {
         &self.cameras
     }
@@ -46,6 +56,21 @@ impl Cameras {
             *pose = adam.step(super::gaussians::ADAM, pose, gradient.map(f64::from), rates);
         }
     }
+}
+
+/// Poses of cameras; the rest of them is known.
+pub(super) fn poses(state: &mut State<'_>, name: &str, cameras: &mut [Camera]) -> Result<()> {
+    let row = |camera: &Camera| -> [f64; 12] {
+        let Pose { rotation, translation } = camera.pose;
+        let numbers = [&rotation.to_cols_array()[..], &translation.to_array()].concat();
+        std::array::from_fn(|i| numbers[i])
+    };
+    let mut rows: Vec<[f64; 12]> = cameras.iter().map(row).collect();
+    state.fixed(name, &mut rows)?;
+    for (camera, row) in cameras.iter_mut().zip(rows) {
+        camera.pose = Pose { rotation: DMat3::from_cols_slice(&row[..9]), translation: DVec3::from_slice(&row[9..]) };
+    }
+    Ok(())
 }
 
 #[cfg(test)]

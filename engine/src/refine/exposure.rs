@@ -3,6 +3,7 @@
 use super::{
     Exposure, RefineOptions,
     adam::HostAdam,
+    checkpoint::State,
     gaussians::{ADAM, Gaussians},
     views::View,
 };
@@ -130,7 +131,7 @@ impl Gains {
     fn new(gaussians: &mut Gaussians, view: &View) -> Result<Self> {
         let (drawn, _) = gaussians.draw(view)?;
         let mut sums = [[0.0; 3]; 3];
-        for (i, (drawn, value)) in drawn.iter().zip(view.values()).enumerate() {
+        for (i, (drawn, value)) in view.image.kept(&drawn).iter().zip(view.values()).enumerate() {
             let [drawn, value] = [drawn.clamp(0.0, 1.0), value].map(f64::from);
             let products = [drawn * drawn, drawn * value, value * value];
             sums[i % 3].iter_mut().zip(products).for_each(|(sum, product)| *sum += product);
@@ -181,15 +182,38 @@ impl Exposures {
             return Ok(None);
         }
         gaussians.learn_exposures();
+        let mut exposures = Self::new(options, training, count);
+        views.iter().zip(&gains).for_each(|(view, gains)| exposures.set(view.photo, gains));
+        Ok(Some(exposures))
+    }
+
+    fn new(options: &RefineOptions, training: &[usize], count: usize) -> Self {
         let steps_per_round = training.len() as f64 / options.views_per_step as f64;
-        let mut exposures = Self {
+        Self {
             changes: vec![[0.0; EXPOSURE_NUMBERS]; count],
             adams: vec![None; count],
             training: training.to_vec(),
             rate: (f64::from(options.learning_rates.exposure) * steps_per_round).min(MAX_RATE),
-        };
-        views.iter().zip(&gains).for_each(|(view, gains)| exposures.set(view.photo, gains));
-        Ok(Some(exposures))
+        }
+    }
+
+    /// Exposures that may not have begun.
+    pub fn state(
+        state: &mut State<'_>,
+        name: &str,
+        exposures: &mut Option<Self>,
+        options: &RefineOptions,
+        training: &[usize],
+        count: usize,
+    ) -> Result<()> {
+        let mut began = usize::from(exposures.is_some());
+        state.count(&format!("{name}.began"), &mut began)?;
+        if began == 0 {
+            return Ok(());
+        }
+        let Self { changes, adams, .. } = exposures.get_or_insert_with(|| Self::new(options, training, count));
+        state.fixed(name, changes)?;
+        state.adams(&format!("{name}.adam"), adams)
     }
 
     fn set(&mut self, photo: usize, gains: &Gains) {

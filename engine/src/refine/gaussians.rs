@@ -3,6 +3,7 @@
 
 use super::{
     Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
+    checkpoint::State,
     growth::padded,
     planned::{PhotoLoss, PhotoPlan, Training, record_photos},
     record_adam, record_anisotropy_limit,
@@ -36,6 +37,9 @@ const LIMIT_RATE: f32 = 2.0;
 /// Limit of pixels per run.
 const MAX_BATCH_PIXELS: usize = 1 << 20;
 
+/// Names in checkpoints.
+const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
+
 struct Field {
     values: Tensor,
     gradient: Tensor,
@@ -55,6 +59,8 @@ pub(super) struct Gaussians {
     scene: SceneTensors,
     drawing: RenderOptions,
     gradients: Gradients,
+    /// Tokens and their moments, if refined, and the plan that decodes them.
+    pub(super) tokens: Option<([Tensor; 3], Run)>,
     options: RefineOptions,
     learns_exposures: bool,
     clear: Run,
@@ -64,7 +70,8 @@ pub(super) struct Gaussians {
     cleared: bool,
     lpips: Option<LpipsWeights>,
     steps: u32,
-    plans: PlanCache<(), PhotoPlan>,
+    /// By size and whether photos have masks.
+    plans: PlanCache<bool, PhotoPlan>,
     batch_size: usize,
 }
 
@@ -126,6 +133,7 @@ impl Gaussians {
             scene,
             drawing: RenderOptions::default(),
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
+            tokens: None,
             options: options.clone(),
             learns_exposures: false,
             clear,
@@ -184,6 +192,22 @@ impl Gaussians {
         Ok(Some(found))
     }
 
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
+        let mut steps = self.steps as usize;
+        state.count("steps", &mut steps)?;
+        self.steps = steps as u32;
+        let fields = FIELDS.into_iter().zip(self.fields.iter().map(|f| [f.values, f.moments[0], f.moments[1]]));
+        for (name, tensors) in fields.chain(self.tokens.iter().map(|(tensors, _)| ("tokens", *tensors))) {
+            for (tensor, end) in tensors.into_iter().zip(["", ".first", ".second"]) {
+                state.tensor(&format!("{name}{end}"), &self.memories[0], tensor)?;
+            }
+        }
+        match &mut self.tokens {
+            Some((_, forward)) if state.loads() => forward.execute().map(drop),
+            _ => Ok(()),
+        }
+    }
+
     pub fn learn_exposures(&mut self) {
         self.learns_exposures = true;
         self.plans.clear();
@@ -220,7 +244,8 @@ impl Gaussians {
     fn plan(&mut self, views: &[&View], backward: bool) -> Result<&mut PhotoPlan> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
-        self.plans.get(PlanKey { shape, backward, options: () }, |capacity| {
+        let masked = backward && views.iter().any(|view| view.image.mask.is_some());
+        self.plans.get(PlanKey { shape, backward, options: masked }, |capacity| {
             let mut rec = Recorder::new(self.arena.device().limits());
             let lpips = self.lpips.as_ref().map(|weights| &weights.lpips);
             let training = backward.then_some(Training {
@@ -228,6 +253,7 @@ impl Gaussians {
                 gradients: &self.gradients,
                 lpips,
                 exposure: self.learns_exposures,
+                masked,
             });
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, &self.drawing, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());

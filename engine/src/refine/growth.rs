@@ -2,7 +2,9 @@
 //! fixed number of Gaussians, so unlike the paper all exist from the start and become alive over
 //! time.
 
+use super::checkpoint::State;
 use crate::{
+    Result,
     random::Random,
     types::{Scene, matrix_from_quaternion},
 };
@@ -25,6 +27,10 @@ pub(super) struct Growth {
 impl Growth {
     pub fn new(first: usize, most: usize, steps: usize, seed: u64) -> Self {
         Self { random: Random::new(!seed), steps, counts: [first, most.max(first)] }
+    }
+
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
+        state.fixed("growth.random", std::slice::from_mut(self.random.state()))
     }
 
     pub fn is_due(&self, done: usize) -> bool {

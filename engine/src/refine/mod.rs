@@ -3,6 +3,7 @@
 mod adam;
 mod anisotropy;
 mod cameras;
+mod checkpoint;
 mod exposure;
 mod free_space;
 mod gaussians;
@@ -19,6 +20,7 @@ mod views;
 pub use adam::{Adam, Rate, Space, record_adam};
 pub use anisotropy::record_anisotropy_limit;
 pub use cameras::PoseAdam;
+pub use checkpoint::RefineCheckpoint;
 pub use exposure::{EXPOSURE_NUMBERS, Exposed};
 pub use options::{Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use photos::Photos;
@@ -31,11 +33,12 @@ use crate::{
     reconstruct::SceneTokens,
     types::{Camera, ColorTransform, Scene},
 };
+use checkpoint::{hashed, hashed_scene, identity};
 use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
 use photos::PhotoCache;
-use refinement::Refinement;
+use refinement::{Refinement, Saving};
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
@@ -87,7 +90,7 @@ pub enum StopReason {
     Cancelled,
     /// The loss became NaN or infinite, or grew.
     Diverged(String),
-    /// A photo could not be opened.
+    /// A photo could not be opened, or a checkpoint not be written.
     Unreadable(String),
 }
 
@@ -101,6 +104,8 @@ pub struct RefineResult {
     /// Transforms from the kept scene's colors to those of all photos, if exposures were learned;
     /// held-out photos have the identity.
     pub exposures: Option<Vec<ColorTransform>>,
+    /// Steps of the checkpoint that was continued, or 0.
+    pub resumed_step: usize,
     /// Steps to complete, also of a [`RefineLength::Time`].
     pub steps: usize,
     /// Mean loss per completed step over its photos.
@@ -111,6 +116,8 @@ pub struct RefineResult {
     pub holdout_psnr: Vec<(usize, f64)>,
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
+    /// Fraction of the pixels that masks ignore in those photos.
+    pub masked_fraction: f64,
     /// Indices of the held-out photos.
     pub holdout_views: Vec<usize>,
     /// Steps with a new size, and the largest photo's width and height from then on.
@@ -159,7 +166,8 @@ pub fn refine_scene(
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, options)?;
         Ok((gaussians, (scene.clone(), scene_distance)))
     };
-    run(arena, make, Some(scene.len()), &photos, cameras, options, progress)
+    let hash = || Ok(hashed_scene(scene));
+    run(arena, (&make, &hash), Some(scene.len()), &photos, cameras, options, progress)
 }
 
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
@@ -181,7 +189,8 @@ pub fn refine_tokens(
         let scene_distance = distance(&scene, cameras);
         Ok((gaussians, (scene, scene_distance)))
     };
-    run(arena, make, None, &photos, cameras, options, progress)
+    let hash = || Ok(hashed(0, &tokens.resident().read::<f32>(tokens.tensor())?));
+    run(arena, (&make, &hash), None, &photos, cameras, options, progress)
 }
 
 /// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
@@ -210,10 +219,12 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
     options.max_gaussians.map_or(Ok(()), |most| Err(refused(most)))
 }
 
-/// `len` is the number of Gaussians if they may grow.
+type Make<'a> = &'a dyn Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>;
+
+/// `make` is with the hash of what it makes; `len` is the number of Gaussians if they may grow.
 fn run(
     arena: &Arena,
-    make: impl Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>,
+    (make, hash): (Make<'_>, &dyn Fn() -> Result<u64>),
     len: Option<usize>,
     photos: &dyn Photos,
     cameras: &[Camera],
@@ -242,6 +253,22 @@ fn run(
     let probe = |options: &RefineOptions, cached| {
         refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1, cached)
     };
+    let mut saving = match &options.checkpoint {
+        Some(checkpoint) => {
+            let sizes: Vec<[u32; 2]> = (0..count).map(|i| photos.size(i)).collect();
+            let identity = identity(checkpoint, arena.device(), &options, hash()?, cameras, &sizes);
+            Some(Saving::new(checkpoint.clone(), identity))
+        }
+        None => None,
+    };
+    let bytes = saving.as_ref().map_or(Ok(None), |saving| saving.checkpoint.read())?;
+    if let (Some(bytes), Some(saving)) = (bytes, &mut saving) {
+        let checkpoint = saving.checkpoint.clone();
+        let mut state = checkpoint.open(&bytes, &saving.identity)?;
+        let steps = saving.restore(&mut state, &mut options)?;
+        cached = cache(&options);
+        return refinement(options, steps, cached)?.finish(&mut progress, begin, Some(saving), Some(state));
+    }
     let may_grow = options.max_gaussians.is_none() && grow(&options, options.length.most_steps()).is_some();
     if may_grow {
         let mut probe = probe(&options, cached)?;
@@ -272,7 +299,8 @@ fn run(
         }
     };
     options.max_gaussians = grow(&options, steps);
-    refinement(options, steps, cached)?.finish(&mut progress, begin)
+    saving.iter_mut().for_each(|saving| saving.plan(steps, &options));
+    refinement(options, steps, cached)?.finish(&mut progress, begin, saving.as_mut(), None)
 }
 
 fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>, factor: u32) -> impl Iterator<Item = [u32; 2]> {

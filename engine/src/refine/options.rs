@@ -1,6 +1,6 @@
 //! Settings of a refinement.
 
-use super::DETAIL;
+use super::{DETAIL, RefineCheckpoint};
 use crate::stages::{loss::Loss, lpips::LpipsNetwork};
 use std::time::Duration;
 
@@ -90,6 +90,8 @@ pub struct RefineOptions {
     pub seed: u64,
     /// Whether to profile a step by kernel.
     pub profile: bool,
+    /// File to continue from after an interruption.
+    pub checkpoint: Option<RefineCheckpoint>,
 }
 
 impl Default for RefineOptions {
@@ -114,6 +116,7 @@ impl Default for RefineOptions {
             snapshots: 0,
             seed: 0,
             profile: false,
+            checkpoint: None,
         }
     }
 }

@@ -17,7 +17,7 @@ pub trait Photos: Sync {
     /// Width and height of a photo in pixels.
     fn size(&self, i: usize) -> [u32; 2];
 
-    /// Decodes a photo, of this size. Several threads may open photos, also repeatedly.
+    /// Decodes a photo, of this size, with its mask, if any. Several threads may open photos, also repeatedly.
     ///
     /// # Errors
     /// An unreadable photo.
@@ -39,8 +39,7 @@ impl<T: AsRef<[Image]> + Sync> Photos for T {
     }
 }
 
-/// `[height][width][rgb]`.
-pub(super) type Rgb = Arc<Vec<u8>>;
+pub(super) type Photo = Arc<Image>;
 
 /// Photos at the sizes of the coarse-to-fine phases. Results are independent of the limit.
 pub(super) struct PhotoCache<'a> {
@@ -50,9 +49,9 @@ pub(super) struct PhotoCache<'a> {
     /// Bytes left for further photos.
     left: u64,
     /// By photo and downscaling factor.
-    kept: HashMap<(usize, u32), Rgb>,
+    kept: HashMap<(usize, u32), Photo>,
     /// Photos beyond the limit, until their use.
-    ahead: HashMap<(usize, u32), Rgb>,
+    ahead: HashMap<(usize, u32), Photo>,
 }
 
 impl<'a> PhotoCache<'a> {
@@ -78,17 +77,17 @@ impl<'a> PhotoCache<'a> {
     /// Returns photos `now` with their cameras, as [`PhotoCache::get`].
     pub fn views(&mut self, cameras: &[Camera], now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<View>> {
         let found = self.get(now, soon, factor)?;
-        let view = |(photo, rgb): (&usize, Rgb)| {
+        let view = |(photo, image): (&usize, Photo)| {
             let camera = self.camera(*photo, &cameras[*photo], factor)?;
             let (size, exposure) = (self.size(*photo, factor), ColorTransform::IDENTITY);
-            Ok(View { photo: *photo, size, rgb, camera, exposure })
+            Ok(View { photo: *photo, size, image, camera, exposure })
         };
         now.iter().zip(found).map(view).collect()
     }
 
     /// Returns photos `now` at a downscaling factor. If one is to be opened, idle threads open
     /// photos that are needed `soon`.
-    fn get(&mut self, now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<Rgb>> {
+    fn get(&mut self, now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<Photo>> {
         self.ahead.retain(|(photo, of), _| *of == factor && (now.contains(photo) || soon.contains(photo)));
         let mut lacking: Vec<usize> = Vec::new();
         for (at, photo) in now.iter().chain(soon).enumerate() {
@@ -124,7 +123,7 @@ impl<'a> PhotoCache<'a> {
         Ok(())
     }
 
-    fn find(&self, photo: usize, factor: u32) -> Option<&Rgb> {
+    fn find(&self, photo: usize, factor: u32) -> Option<&Photo> {
         self.kept.get(&(photo, factor)).or_else(|| self.ahead.get(&(photo, factor)))
     }
 
@@ -135,9 +134,10 @@ impl<'a> PhotoCache<'a> {
         left.is_some()
     }
 
-    fn open(&self, i: usize, factors: Vec<u32>) -> Result<Vec<((usize, u32), Rgb)>> {
+    fn open(&self, i: usize, factors: Vec<u32>) -> Result<Vec<((usize, u32), Photo)>> {
         let photo = self.photos.open(i)?;
         photo.validate()?;
+        let hidden = photo.hidden();
         let ([width, height], expected) = ([photo.width, photo.height], self.photos.size(i));
         if [width, height] != expected {
             let expected = format!("{} x {}, as before", expected[0], expected[1]);
@@ -145,7 +145,7 @@ impl<'a> PhotoCache<'a> {
         }
         let at = |factor: u32| {
             let [width, height] = self.size(i, factor);
-            Ok(((i, factor), Arc::new(resize_lanczos(photo.as_ref(), width, height)?.rgb)))
+            Ok(((i, factor), Arc::new(resize_lanczos(&hidden, width, height)?)))
         };
         factors.into_iter().map(at).collect()
     }
@@ -191,7 +191,7 @@ mod tests {
             (found, photos.1.load(Ordering::Relaxed))
         };
         let (all, opened) = used(usize::MAX);
-        assert_eq!((all[0].len(), &*all[4]), (bytes(2), &photos.0[5].rgb));
+        assert_eq!((all[0].rgb.len(), &*all[4]), (bytes(2), &photos.0[5]));
         assert!((5..=6).contains(&opened), "{opened}");
         for max_bytes in [0, bytes(1) + bytes(2)] {
             let (found, more) = used(max_bytes);

@@ -45,7 +45,8 @@ impl RefinePlan {
     }
 }
 
-/// Plans a refinement against `photos` photos of `[width, height]` pixels, without a device.
+/// Plans a refinement against `photos` photos of `[width, height]` pixels, `masked` or not, without
+/// a device.
 /// [`Exposure::Auto`] is planned as [`Exposure::Off`].
 ///
 /// # Errors
@@ -56,6 +57,7 @@ pub fn plan_refinement(
     moved: Moved<'_>,
     photos: usize,
     [width, height]: [u32; 2],
+    masked: bool,
     options: &RefineOptions,
 ) -> Result<RefinePlan> {
     let options = filled(options, photos)?;
@@ -111,7 +113,7 @@ pub fn plan_refinement(
     kept_bytes += weights.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
     let lpips = weights.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
-    record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], &options)?;
+    record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], (&options, masked))?;
     Ok(RefinePlan { kept_bytes, plans })
 }
 
@@ -122,7 +124,7 @@ fn record_steps(
     gradients: &Gradients,
     lpips: Option<&Lpips>,
     [width, height]: [u32; 2],
-    options: &RefineOptions,
+    (options, masked): (&RefineOptions, bool),
 ) -> Result<()> {
     let photo_size = |factor| fitted([width, height], options.max_image_size, factor);
     let steps = options.length.most_steps();
@@ -138,7 +140,8 @@ fn record_steps(
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
-        let training = Training { options, gradients, lpips, exposure: options.exposure == Exposure::On };
+        let exposure = options.exposure == Exposure::On;
+        let training = Training { options, gradients, lpips, exposure, masked };
         record_photos(&mut rec, scene, shape, capacity, &RenderOptions::default(), Some(training));
         plans.push(rec.finish()?);
     }

@@ -8,7 +8,7 @@ use crate::{
     gpu::{Recorder, Run, Tensor},
     stages::{
         SceneTensors,
-        loss::{LossTensors, record_loss, record_targets},
+        loss::{LossTensors, record_loss, record_masked, record_masked_gradient, record_targets},
         lpips::{Lpips, LpipsPictures},
         render::{
             CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows, record,
@@ -34,6 +34,8 @@ pub(super) struct Recorded {
 pub(super) struct Learning {
     /// `[cameras, height, width, 3]` bytes, in whole words.
     pub photos: Tensor,
+    /// `[cameras, height, width]` bytes, in whole words, if photos have masks.
+    pub masks: Option<Tensor>,
     /// `[cameras]`.
     pub losses: Tensor,
     pub perceptual: Option<(f32, Tensor)>,
@@ -50,6 +52,8 @@ pub(super) struct Training<'a> {
     pub lpips: Option<&'a Lpips>,
     /// Whether the photos have color transforms.
     pub exposure: bool,
+    /// Whether any photo has a mask.
+    pub masked: bool,
 }
 
 pub(super) struct PhotoLoss {
@@ -71,7 +75,7 @@ pub(super) fn record_photos(
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
-    let Some(Training { options, gradients, lpips, exposure }) = training else {
+    let Some(Training { options, gradients, lpips, exposure, masked }) = training else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, drawing, capacity) };
     };
     let d_cameras = options.optimize_cameras.then(|| {
@@ -79,27 +83,31 @@ pub(super) fn record_photos(
         rec.fill(d_cameras, 0);
         d_cameras
     });
-    let values = 3 * count * width as usize * height as usize;
+    let pixels = count * width as usize * height as usize;
+    let values = 3 * pixels;
     let photos = rec.input::<u32>("photos", values.div_ceil(4));
     let targets = rec.scope("loss", |rec| record_targets(rec, photos, values));
     let transforms = exposure.then(|| rec.input::<[f32; EXPOSURE_NUMBERS]>("exposures", count));
+    let masks = masked.then(|| rec.input::<u32>("masks", pixels.div_ceil(4)));
     let mut learning = None;
     let compare = |rec: &mut Recorder, frames: Tensor| {
         let scale = 1.0 / options.views_per_step as f32;
         let exposed = transforms.map(|transforms| Exposed::record(rec, [frames, targets, transforms], shape));
         let frames = exposed.map_or(frames, |exposed| exposed.exposed);
+        let frames = masks.map_or(frames, |masks| record_masked(rec, [frames, targets, masks], pixels));
         let LossTensors { value, d_frames } =
             record_loss(rec, options.loss, frames, targets, shape, drawing.channels(), scale);
         rec.output(value);
         let perceptual =
             lpips.and_then(|lpips| record_perceptual(rec, lpips, options, [frames, targets, d_frames], shape));
         perceptual.iter().for_each(|(_, value)| rec.output(*value));
+        masks.iter().for_each(|masks| record_masked_gradient(rec, d_frames, *masks, pixels));
         let exposures = exposed.zip(transforms).map(|(exposed, transforms)| {
             let d_transforms = exposed.record_backward(rec, d_frames);
             rec.output(d_transforms);
             [transforms, d_transforms]
         });
-        learning = Some(Learning { photos, losses: value, perceptual, d_cameras, exposures });
+        learning = Some(Learning { photos, masks, losses: value, perceptual, d_cameras, exposures });
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
@@ -136,9 +144,13 @@ impl PhotoPlan {
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;
-        if let Some(Learning { photos, exposures, .. }) = self.recorded.learning {
-            let bytes: Vec<&[u8]> = views.iter().map(|view| view.rgb.as_slice()).collect();
+        if let Some(Learning { photos, masks, exposures, .. }) = self.recorded.learning {
+            let bytes: Vec<&[u8]> = views.iter().map(|view| view.image.rgb.as_slice()).collect();
             self.run.write(photos, &bytes.concat())?;
+            if let Some(masks) = masks {
+                let bytes: Vec<_> = views.iter().map(|view| view.image.mask_or_all()).collect();
+                self.run.write(masks, &bytes.concat())?;
+            }
             if let Some([transforms, _]) = exposures {
                 self.run.write(transforms, &views.iter().map(|view| view.exposure.0).collect::<Vec<_>>())?;
             }

@@ -1,25 +1,26 @@
+mod measure;
+mod state;
+
+pub(super) use state::Saving;
+
 use super::{
     RefineOptions, RefineProgress, RefineResult, StopReason,
     cameras::Cameras,
+    checkpoint::State,
     exposure::{Exposures, first_step},
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
-    photos::{PhotoCache, Rgb},
+    photos::PhotoCache,
     planned::PhotoLoss,
-    schedule::{Schedule, phases, rate_of_error},
+    schedule::{Schedule, rate_of_error},
     views::{Order, View, split},
 };
 use crate::{
     Error, Result,
-    gpu::Profile,
     types::{Camera, ColorTransform, Scene},
 };
-use std::{
-    collections::VecDeque,
-    ops::ControlFlow,
-    time::{Duration, Instant},
-};
+use std::{collections::VecDeque, ops::ControlFlow, time::Instant};
 
 /// Number of evaluations of held-out photos or, without any, of the loss.
 const EVALUATIONS: usize = 20;
@@ -130,13 +131,20 @@ impl<'a> Refinement<'a> {
         mut self,
         progress: &mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>,
         begin: Instant,
+        saving: Option<&mut Saving>,
+        loaded: Option<State<'_>>,
     ) -> Result<RefineResult> {
+        let begin = saving.as_ref().and_then(|saving| begin.checked_sub(saving.spent())).unwrap_or(begin);
         let before = self.training_psnr()?;
         self.fraction = rate_of_error(before);
         // Held-out photos select the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
         let given = (self.holdout.is_empty() && self.options.perceptual_loss.is_none()).then(|| self.kept.clone());
-        let stop_reason = self.run(progress, begin)?;
+        let resumed_step = match loaded {
+            Some(mut state) => self.load(&mut state)?,
+            None => 0,
+        };
+        let stop_reason = self.run(progress, begin, resumed_step, saving)?;
         let profile = self.options.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
         self.gaussians.show(&self.kept.scene)?;
@@ -146,6 +154,9 @@ impl<'a> Refinement<'a> {
         {
             (self.kept, after) = (given, before);
         }
+        let pixels = self.measured.iter().flat_map(|view| view.image.mask_or_all().into_owned());
+        let (ignored, count) =
+            pixels.fold((0, 0), |(ignored, count), kept| (ignored + usize::from(kept == 0), count + 1));
         let Self { losses, kept, holdout_psnr, holdout, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras, exposures } = kept;
         let exposures = exposures.map(|exposures| (0..cameras.len()).map(|photo| exposures.get(photo)).collect());
@@ -155,11 +166,13 @@ impl<'a> Refinement<'a> {
             scene,
             cameras,
             exposures,
+            resumed_step,
             steps: self.steps,
             losses,
             best_step,
             holdout_psnr,
             training_psnr,
+            masked_fraction: ignored as f64 / f64::from(count),
             holdout_views: holdout,
             sizes,
             took,
@@ -173,13 +186,17 @@ impl<'a> Refinement<'a> {
         &mut self,
         progress: &mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>,
         begin: Instant,
+        first: usize,
+        mut saving: Option<&mut Saving>,
     ) -> Result<Option<StopReason>> {
         let steps = self.steps;
         let interval = steps.div_ceil(EVALUATIONS).max(1);
         let first_exposed = first_step(steps);
-        self.evaluate(0)?;
+        if first == 0 {
+            self.evaluate(0)?;
+        }
         self.photos.fill(&self.training)?;
-        for step in 0..steps {
+        for step in first..steps {
             self.resize(step);
             if step == first_exposed {
                 let (training, views, count) = (&self.training, &self.measured, self.cameras.all().len());
@@ -188,11 +205,12 @@ impl<'a> Refinement<'a> {
             let mut views = match self.next_views() {
                 Ok(views) => views,
                 Err(error) if step > 0 => {
-                    self.evaluate(step)?;
-                    self.keep();
-                    let cancelled = matches!(error, Error::Cancelled);
-                    let unreadable = || StopReason::Unreadable(error.to_string());
-                    return Ok(Some(if cancelled { StopReason::Cancelled } else { unreadable() }));
+                    let saved = saving.map_or(Ok(()), |saving| self.save(saving, step, begin));
+                    let why = match (error, saved) {
+                        (Error::Cancelled, Ok(())) => StopReason::Cancelled,
+                        (Error::Cancelled, Err(error)) | (error, _) => StopReason::Unreadable(error.to_string()),
+                    };
+                    return self.stop(step, why);
                 }
                 Err(error) => return Err(error),
             };
@@ -228,14 +246,25 @@ impl<'a> Refinement<'a> {
             let snapshots = |done: usize| done * self.options.snapshots / steps;
             let scene = (snapshots(done) > snapshots(step)).then(|| self.scene()).transpose()?;
             let now = RefineProgress { step: done, steps, loss: Some(loss), psnr, eta, scene: scene.as_ref() };
-            if progress(now).is_break() {
-                self.evaluate(done)?;
-                self.keep();
-                return Ok(Some(StopReason::Cancelled));
+            let cancelled = progress(now).is_break();
+            if let Some(saving) = saving.as_mut().filter(|saving| cancelled || saving.is_due())
+                && let Err(error) = self.save(saving, done, begin)
+            {
+                return self.stop(done, StopReason::Unreadable(error.to_string()));
+            }
+            if cancelled {
+                return self.stop(done, StopReason::Cancelled);
             }
         }
         self.keep();
         Ok(None)
+    }
+
+    /// Keeps the best scene.
+    fn stop(&mut self, done: usize, why: StopReason) -> Result<Option<StopReason>> {
+        self.evaluate(done)?;
+        self.keep();
+        Ok(Some(why))
     }
 
     fn next_views(&mut self) -> Result<Vec<View>> {
@@ -244,33 +273,12 @@ impl<'a> Refinement<'a> {
             self.upcoming.push_back(self.training[self.order.next()]);
         }
         let now: Vec<usize> = self.upcoming.drain(..count).collect();
-        self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor)
-    }
-
-    /// Returns the mean PSNR with the kept cameras and exposures.
-    pub fn training_psnr(&mut self) -> Result<f64> {
-        let Kept { cameras, exposures, .. } = &self.kept;
-        let (mut sum, mut seen) = (0.0, false);
-        for view in &mut self.measured {
-            view.camera.pose = cameras[view.photo].pose;
-            let (drawn, intersections) = self.gaussians.draw(view)?;
-            let drawn = exposures.as_ref().map(|all| all.get(view.photo).apply(&drawn)).unwrap_or(drawn);
-            sum += view.psnr(&drawn);
-            seen |= intersections > 0;
+        let views = self.photos.views(self.cameras.all(), &now, self.upcoming.make_contiguous(), self.factor);
+        // The step may be taken later.
+        if views.is_err() {
+            now.iter().rev().for_each(|photo| self.upcoming.push_front(*photo));
         }
-        for photo in &self.training {
-            if !seen {
-                let (size, camera) = (self.photos.size(*photo, 1), self.photos.camera(*photo, &cameras[*photo], 1)?);
-                let exposure = ColorTransform::IDENTITY;
-                let view = View { photo: *photo, size, rgb: Rgb::default(), camera, exposure };
-                seen = self.gaussians.draw(&view)?.1 > 0;
-            }
-        }
-        if !seen {
-            let expected = "cameras in the scene's world that have some of it in front of them";
-            return Err(Error::argument("scene to refine", "no Gaussian that any photo's camera sees", expected));
-        }
-        Ok(sum / self.measured.len() as f64)
+        views
     }
 
     /// Steps the cameras and exposures of a step's photos.
@@ -283,27 +291,6 @@ impl<'a> Refinement<'a> {
             }
         }
         self.exposures.iter_mut().for_each(Exposures::center);
-    }
-
-    /// Returns the mean time of a step, from one at each size. Changes the Gaussians' moments.
-    pub fn time_step(&mut self) -> Result<Duration> {
-        let mut mean = Duration::ZERO;
-        for (fraction, factor) in phases(self.options.coarse_to_fine, self.shortest()) {
-            let views = self.first_views(factor)?;
-            let views: Vec<&View> = views.iter().collect();
-            // The first records and compiles.
-            self.gaussians.step(&views, 0.0)?;
-            let begin = Instant::now();
-            self.gaussians.step(&views, 0.0)?;
-            mean += begin.elapsed().mul_f64(fraction);
-        }
-        Ok(mean)
-    }
-
-    /// Returns as many views as a step has.
-    fn first_views(&mut self, factor: u32) -> Result<Vec<View>> {
-        let chosen = &self.training[..self.training.len().min(self.options.views_per_step)];
-        self.photos.views(self.cameras.all(), chosen, &[], factor)
     }
 
     fn sizes(&self, factor: u32) -> impl Iterator<Item = [u32; 2]> {
@@ -336,8 +323,7 @@ impl<'a> Refinement<'a> {
             for view in &self.validation {
                 let (mut drawn, _) = self.gaussians.draw(view)?;
                 if self.exposures.is_some() {
-                    let values: Vec<f32> = view.values().collect();
-                    drawn = ColorTransform::fit(&drawn, &values).apply(&drawn);
+                    drawn = ColorTransform::fit(&view.image.kept(&drawn), &view.values()).apply(&drawn);
                 }
                 sum += view.psnr(&drawn) / self.validation.len() as f64;
             }
@@ -383,10 +369,5 @@ impl<'a> Refinement<'a> {
         }
         (self.latest, self.least) = (loss, self.least.min(loss));
         None
-    }
-
-    fn profile(&mut self) -> Result<Profile> {
-        let views = self.first_views(1)?;
-        self.gaussians.profile(&views.iter().collect::<Vec<_>>())
     }
 }

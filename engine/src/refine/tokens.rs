@@ -69,9 +69,11 @@ pub(super) fn gaussians(
     // Once: the Gaussians of a copy of the tokens; the originals stay unchanged.
     let mut rec = Recorder::new(device.limits());
     rec.copy(tokens.tensor(), moved);
+    Run::in_arena(arena, 0, rec.finish()?, [memory.clone(), tokens.resident().clone()])?.execute()?;
+    let mut rec = Recorder::new(device.limits());
     head.record_kept(&mut rec, moved, &kept, &scene);
-    let given = [memory.clone(), weights.clone(), tokens.resident().clone()];
-    Run::in_arena(arena, 0, rec.finish()?, given)?.execute()?;
+    let mut forward = Run::in_arena(arena, 0, rec.finish()?, [memory.clone(), weights.clone()])?;
+    forward.execute()?;
 
     // Every step: backward through the last run, then forward again.
     let mut rec = Recorder::new(device.limits());
@@ -87,7 +89,8 @@ pub(super) fn gaussians(
     let memories = vec![memory, weights.clone()];
     let update = (Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
 
-    let gaussians = Gaussians::of(arena, options, memories, scene, gradients, update)?;
+    let mut gaussians = Gaussians::of(arena, options, memories, scene, gradients, update)?;
+    gaussians.tokens = Some(([moved, first, second], forward));
     let scene = gaussians.scene()?;
     Ok((gaussians, scene))
 }

@@ -1,4 +1,4 @@
-use super::photos::Rgb;
+use super::{checkpoint::State, photos::Photo};
 use crate::{
     Result,
     random::Random,
@@ -9,17 +9,20 @@ use crate::{
 pub(super) struct View {
     pub photo: usize,
     pub size: [u32; 2],
-    pub rgb: Rgb,
+    pub image: Photo,
     pub camera: Camera,
     pub exposure: ColorTransform,
 }
 
 impl View {
-    pub fn values(&self) -> impl Iterator<Item = f32> {
-        self.rgb.iter().map(|value| f32::from(*value) / 255.0)
+    /// Values of kept pixels.
+    pub fn values(&self) -> Vec<f32> {
+        self.image.kept(&self.image.rgb).iter().map(|value| f32::from(*value) / 255.0).collect()
     }
 
+    /// Returns the PSNR of kept pixels.
     pub fn psnr(&self, drawn: &[f32]) -> f64 {
+        let drawn = self.image.kept(drawn);
         let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
         let squares: f64 = drawn.iter().zip(self.values()).map(square).sum();
         -10.0 * (squares / drawn.len() as f64).max(1e-10).log10()
@@ -58,6 +61,11 @@ pub(super) struct Order {
 impl Order {
     pub fn new(count: usize, seed: u64) -> Self {
         Self { count, random: Random::new(seed), left: Vec::new() }
+    }
+
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
+        state.fixed("order.random", std::slice::from_mut(self.random.state()))?;
+        state.mapped("order.left", &mut self.left, |i| *i as u64, |i| i as usize)
     }
 
     pub fn next(&mut self) -> usize {

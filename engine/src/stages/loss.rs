@@ -89,6 +89,37 @@ pub fn record_targets(rec: &mut Recorder, photos: Tensor, count: usize) -> Tenso
     targets
 }
 
+/// Records `frames` whose masked pixels are those of `targets`, both `[pixels, 3]`: these have no
+/// difference in any loss. A pixel is masked where its byte of `masks`, `[ceil(pixels / 4)]` u32, is
+/// 0.
+pub fn record_masked(rec: &mut Recorder, [frames, targets, masks]: [Tensor; 3], pixels: usize) -> Tensor {
+    let masked = rec.tensor::<f32>("masked", 3 * pixels);
+    record_mask(rec, [frames, targets, masks, masked], pixels, false);
+    masked
+}
+
+/// Records the backward pass of [`record_masked`]: `gradient` `[pixels, 3]` by the masked frames
+/// becomes that by the frames.
+pub fn record_masked_gradient(rec: &mut Recorder, gradient: Tensor, masks: Tensor, pixels: usize) {
+    // Placeholders for the unused frames and targets.
+    record_mask(rec, [masks, masks, masks, gradient], pixels, true);
+}
+
+fn record_mask(rec: &mut Recorder, [frames, targets, masks, result]: [Tensor; 4], pixels: usize, gradient: bool) {
+    rec.scope("mask", |rec| {
+        for part in row_chunks(rec, pixels.div_ceil(4), &[12 * size_of::<f32>()]) {
+            let first = 4 * part.start;
+            let count = 3 * (pixels - first).min(4 * part.len());
+            let values = |tensor: Tensor| tensor.slice::<f32>(3 * first, count);
+            let masks = masks.slice::<u32>(part.start, part.len());
+            let [frames, targets] = if gradient { [masks; 2] } else { [frames, targets].map(values) };
+            let kernel =
+                kernels::Mask { frames, targets, masks, result: values(result), count: count as u32, gradient };
+            rec.dispatch(kernel, count);
+        }
+    });
+}
+
 struct Pictures {
     frames: Tensor,
     targets: Tensor,

@@ -54,3 +54,12 @@ pub fn l1_dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     let mixed = |a: f64, b: f64| 0.8 * a + 0.2 * b;
     (mixed(l1.0, dssim.0), l1.1.iter().zip(&dssim.1).map(|(a, b)| mixed(*a, *b)).collect())
 }
+
+/// Computes a loss of `a` with masked pixels, those of 0 in `mask`, replaced by those of `b`. They
+/// have no difference and no gradient.
+pub fn masked(loss: impl Fn(&[f64], &[f64]) -> (f64, Vec<f64>), a: &[f64], b: &[f64], mask: &[u8]) -> (f64, Vec<f64>) {
+    let pick =
+        |a: &[f64], b: &[f64]| (0..a.len()).map(|i| if mask[i / 3] == 0 { b[i] } else { a[i] }).collect::<Vec<_>>();
+    let (value, gradient) = loss(&pick(a, b), b);
+    (value, pick(&gradient, &vec![0.0; a.len()]))
+}

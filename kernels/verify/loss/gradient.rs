@@ -1,7 +1,7 @@
 use crate::prelude::*;
 use zipsplat::stages::{
     FrameShape,
-    loss::{Loss, record_loss},
+    loss::{Loss, record_loss, record_masked, record_masked_gradient},
 };
 use zipsplat_reference::loss::gradient as reference;
 
@@ -19,6 +19,8 @@ struct Problem {
     loss: Loss,
     frames: Vec<f32>,
     targets: Vec<f32>,
+    /// Bytes by pixel, in words, if masked.
+    masks: Option<Vec<u32>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -30,6 +32,10 @@ enum Fault {
     HalfDssim,
     SwappedMix,
     NeighborPixel,
+    /// Masked pixels keep their difference.
+    NotMasked,
+    /// Masked pixels keep the gradient that windows around them give.
+    MaskedGradient,
 }
 
 /// The line is zero-padded.
@@ -84,13 +90,28 @@ fn dssim([a, d, variances, variance]: [Bounded; 4]) -> (Bounded, [Bounded; 3]) {
 impl Problem {
     fn reference(&self, loss: Loss) -> Vec<f64> {
         let (a, b) = (widen(&self.frames), widen(&self.targets));
-        let (value, gradient) = match loss {
-            Loss::L1 => reference::l1(&a, &b),
-            Loss::Mse => reference::mse(&a, &b),
-            Loss::Dssim => reference::dssim(&a, &b, WIDTH),
-            Loss::L1Dssim => reference::l1_dssim(&a, &b, WIDTH),
+        let of = |a: &[f64], b: &[f64]| match loss {
+            Loss::L1 => reference::l1(a, b),
+            Loss::Mse => reference::mse(a, b),
+            Loss::Dssim => reference::dssim(a, b, WIDTH),
+            Loss::L1Dssim => reference::l1_dssim(a, b, WIDTH),
+        };
+        let (value, gradient) = match &self.masks {
+            Some(masks) => reference::masked(of, &a, &b, bytemuck::cast_slice(masks)),
+            None => of(&a, &b),
         };
         [vec![value], gradient].concat()
+    }
+
+    /// Without masks, with the targets at masked pixels.
+    fn shown(&self) -> Self {
+        let mut frames = self.frames.clone();
+        (0..frames.len()).filter(|i| self.hides(i / 3)).for_each(|i| frames[i] = self.targets[i]);
+        Self { frames, targets: self.targets.clone(), masks: None, ..*self }
+    }
+
+    fn hides(&self, pixel: usize) -> bool {
+        self.masks.as_ref().is_some_and(|masks| masks[pixel / 4].to_le_bytes()[pixel % 4] == 0)
     }
 
     fn errors(&self) -> Vec<f64> {
@@ -160,12 +181,17 @@ impl Values for Problem {
         let (frames, targets) = (trial.input(&self.frames), trial.input(&self.targets));
         let height = (self.frames.len() / (3 * WIDTH)) as u32;
         let shape = FrameShape { cameras: 1, width: WIDTH as u32, height };
-        let found = record_loss(&mut trial.rec, self.loss, frames, targets, shape, 3, 1.0);
+        let (pixels, masks) = (self.frames.len() / 3, self.masks.as_ref().map(|masks| trial.input(masks)));
+        let masked = masks.map(|masks| record_masked(&mut trial.rec, [frames, targets, masks], pixels));
+        let found = record_loss(&mut trial.rec, self.loss, masked.unwrap_or(frames), targets, shape, 3, 1.0);
+        masks.iter().for_each(|masks| record_masked_gradient(&mut trial.rec, found.d_frames, *masks, pixels));
         Ok(trial.results([found.value, found.d_frames])?.concat())
     }
 
     fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
-        [self.reference(self.loss), self.errors()]
+        let mut errors = self.shown().errors();
+        (0..self.frames.len()).filter(|i| self.hides(i / 3)).for_each(|i| errors[1 + i] = 0.0);
+        [self.reference(self.loss), errors]
     }
 
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
@@ -183,9 +209,19 @@ impl Values for Problem {
                 let (l1, dssim) = (self.reference(Loss::L1), self.reference(Loss::Dssim));
                 each(&|i| 0.2 * l1[i] + 0.8 * dssim[i])
             }
+            Fault::NotMasked => {
+                Self { masks: None, targets: self.targets.clone(), frames: self.frames.clone(), ..*self }
+                    .reference(self.loss)
+            }
+            Fault::MaskedGradient => self.shown().reference(self.loss),
             Fault::NeighborPixel => each(&|i| if i > 0 { truth[1 + (i + 2) % self.frames.len()] } else { truth[0] }),
         }
     }
+}
+
+/// Bytes of four pixels, of which about 40 % are masked.
+fn mask_word(four: &[f32]) -> u32 {
+    four.iter().rev().fold(0, |word, r| word << 8 | if *r > 0.2 { 0 } else { 255 })
 }
 
 pub fn area() -> Area {
@@ -199,15 +235,20 @@ pub fn area() -> Area {
             _ => &[],
         };
         let mut add = |what: &str, height: usize, catches: Catches<Fault>, value: fn(usize, f32) -> [f32; 2]| {
+            let masked = what.starts_with("masks");
             let make = move || {
                 let noise = Noise::new(7).values(3 * WIDTH * height).into_iter().enumerate();
                 let (frames, targets) = noise.map(|(i, r)| value(i, r).into()).unzip();
-                Problem { loss, frames, targets }
+                let masks = masked.then(|| Noise::new(8).values(WIDTH * height).chunks(4).map(mask_word).collect());
+                Problem { loss, frames, targets, masks }
             };
             area.add(format!("{name}, {what}"), WIDTH * height, catches, make);
         };
         add("noise", 24, common().and(own), |i, r| [0.5 + 0.6 * r, 0.5 + 0.5 * (1e4 * r + i as f32).sin()]);
         add("a single row", 1, common().and(own), |i, r| [0.5 + 0.6 * r, 0.5 + 0.5 * (1e4 * r + i as f32).sin()]);
+        let masks = Catches::from([HalfResult, Reversed, NotMasked]);
+        let leaks: &[Fault] = if matches!(loss, Loss::Dssim | Loss::L1Dssim) { &[MaskedGradient] } else { &[] };
+        add("masks", 24, masks.and(leaks), |i, r| [0.5 + 0.6 * r, 0.5 + 0.5 * (1e4 * r + i as f32).sin()]);
         let flat: fn(usize, f32) -> [f32; 2] = |i, _| if i % 63 < 30 { [0.9, 0.8] } else { [0.3, 0.4] };
         add("flat areas, whose variances cancel", 17, [Reversed, Sum].into(), flat);
     }

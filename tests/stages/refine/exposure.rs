@@ -8,15 +8,15 @@ use zipsplat::{
 use zipsplat_cli::procedural::{Options, Photos, Setup, write_folder};
 
 const VIEWS: usize = 14;
-const HELD_OUT: [usize; 2] = [3, 10];
+pub const HELD_OUT: [usize; 2] = [3, 10];
 
-struct Shot {
-    cameras: Vec<Camera>,
-    images: Vec<Image>,
-    cloud: PointCloud,
+pub struct Shot {
+    pub cameras: Vec<Camera>,
+    pub images: Vec<Image>,
+    pub cloud: PointCloud,
 }
 
-fn shot() -> Shot {
+pub fn shot() -> Shot {
     let options = Options { views: VIEWS, width: 96, height: 96, supersample: false, random_first: false };
     let setup = Setup::new(1, &options, &Photos::default(), &|| Ok(())).unwrap();
     let capture = setup.shoot(&Photos::default(), &|| Ok(())).unwrap();
@@ -35,7 +35,7 @@ fn exposed(image: &Image, stops: f64) -> Image {
         let value = if linear <= 0.003_130_8 { linear * 12.92 } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
         (value.clamp(0.0, 1.0) * 255.0).round() as u8
     };
-    Image { rgb: image.rgb.iter().map(byte).collect(), ..*image }
+    Image { rgb: image.rgb.iter().map(byte).collect(), mask: None, ..*image }
 }
 
 /// Twelve exposures from -1 to 1 stops, in another order than the path; held-out photos have 0.
@@ -60,11 +60,11 @@ fn refined(shot: &Shot, photos: &[Image], exposure: Exposure) -> RefineResult {
     refined
 }
 
-/// Held-out PSNR in dB after color correction.
-fn corrected_psnr(shot: &Shot, scene: &Scene) -> f64 {
+/// Held-out PSNR in dB, after color correction if asked for.
+pub fn held_out_psnr(shot: &Shot, scene: &Scene, corrects: bool) -> f64 {
     let psnr = |i: &usize| {
         let [drawn, photo] = pair(scene, &shot.cameras[*i], &shot.images[*i]);
-        let corrected = ColorTransform::fit(&drawn, &photo).apply(&drawn);
+        let corrected = if corrects { ColorTransform::fit(&drawn, &photo).apply(&drawn) } else { drawn };
         let squares = corrected.iter().zip(&photo).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
         -10.0 * (squares / photo.len() as f64).log10()
     };
@@ -78,7 +78,8 @@ fn learned_exposures_are_as_good_as_a_constant_one() {
     let [without, with, again] =
         [Exposure::Off, Exposure::On, Exposure::Auto].map(|exposure| refined(&shot, &photos, exposure));
     let [constant, same] = [Exposure::Off, Exposure::Auto].map(|exposure| refined(&shot, &shot.images, exposure));
-    let [best, without_db, with_db] = [&constant, &without, &with].map(|refined| corrected_psnr(&shot, &refined.scene));
+    let [best, without_db, with_db] =
+        [&constant, &without, &with].map(|refined| held_out_psnr(&shot, &refined.scene, true));
     println!("{best:.2} dB of a constant exposure; of twelve {without_db:.2} dB without, {with_db:.2} dB with");
     assert!(with_db > without_db + 1.0 && with_db > best - 0.3, "{best}, {without_db} and {with_db} dB");
     assert!(again.scene == with.scene && again.exposures == with.exposures, "the same bits");

@@ -1,4 +1,6 @@
+mod checkpoint;
 mod exposure;
+mod masks;
 mod opened;
 
 use std::time::Duration;

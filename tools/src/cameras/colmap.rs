@@ -1,6 +1,6 @@
 //! COLMAP as a program: commands of its steps, and progress from its output.
 
-use crate::{process, session::Stage};
+use crate::{masks::MaskArgs, process, session::Stage};
 use clap::{Args, ValueEnum};
 use std::{
     fmt,
@@ -10,6 +10,8 @@ use std::{
 use zipsplat::{Error, Result};
 
 const PYCOLMAP: &str = include_str!("pycolmap.py");
+/// Folder of masks, named after images with `.png` appended.
+pub(super) const MASKS: &str = "masks";
 /// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
 /// Photos per matching block: smaller blocks report progress more often.
@@ -36,6 +38,8 @@ pub struct Searching {
     /// 1600, 504 for Depth Anything 3, 518 for VGGT]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
     pub matching_size: Option<u32>,
+    #[command(flatten)]
+    pub masks: MaskArgs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -158,7 +162,7 @@ impl Colmap {
         &self.program
     }
 
-    /// `folder` has `images` and gets `database.db`; models go to `models`.
+    /// `folder` has `images`, may have `masks` and gets `database.db`; models go to `models`.
     pub fn command(
         &self,
         step: Step,
@@ -221,6 +225,9 @@ impl Colmap {
         command.arg(verb).arg("--database_path").arg(folder.join("database.db"));
         if step != Step::Matches {
             command.arg("--image_path").arg(folder.join("images"));
+        }
+        if step == Step::Features && folder.join(MASKS).is_dir() {
+            command.arg("--ImageReader.mask_path").arg(folder.join(MASKS));
         }
         if verb == "mapper" {
             command.arg("--output_path").arg(models);

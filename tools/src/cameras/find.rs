@@ -25,7 +25,7 @@ use zipsplat::{
     Error, Result,
     stages::Family,
     types::{
-        Camera,
+        Camera, Masks,
         poses::{Capture, CaptureView, read_cloud},
     },
 };
@@ -103,6 +103,12 @@ struct Search<'a> {
     times: Vec<(&'static str, Duration)>,
 }
 
+impl Finding {
+    pub fn masks(&self) -> Option<Masks> {
+        self.search.masks.given()
+    }
+}
+
 impl Finder {
     /// Files of those names are `./da3` and `./vggt`.
     pub fn named(poses: &Path) -> Option<Self> {
@@ -156,7 +162,8 @@ impl EstimatedCameras {
         if photos.len() < 2 {
             return Err(Error::argument("photos to find cameras of", photos.len(), "two or more of one place"));
         }
-        let (work, _) = session.stage("prepare photos", |stage| Work::new(photos, stage))?;
+        let masks = searching.masks.given();
+        let (work, _) = session.stage("prepare photos", |stage| Work::new(photos, masks.as_ref(), stage))?;
         let mut search = Search::new(searching, &colmap, &work)?;
         for step in [Step::Features, Step::Matches] {
             if let Some(status) = search.run(session, step, work.folder.path())? {

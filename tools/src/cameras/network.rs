@@ -35,7 +35,8 @@ impl EstimatedCameras {
         }
         let arithmetic = &ArithmeticOption::default();
         let (side, cameras, request) = (finding.search.matching_size, finding.cameras, DepthOptions::default());
-        let options = PredictorOptions { checkpoint: &checkpoint, side, cameras, arithmetic, request };
+        let masks = finding.masks();
+        let options = PredictorOptions { checkpoint: &checkpoint, side, masks, cameras, arithmetic, request };
         Self::by_predictor(session, photos, options)
     }
 

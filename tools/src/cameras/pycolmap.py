@@ -1,4 +1,5 @@
 """A step of COLMAP through pycolmap: STEP FOLDER MODELS and the numbers of the step. Without arguments: pycolmap's version."""
+import os
 import sys
 
 import pycolmap
@@ -32,8 +33,11 @@ def mapped_with(seed, first_angle, first_points, points, refines_lens):
 def run(step, folder, models, numbers):
     database, images = f"{folder}/database.db", f"{folder}/images"
     if step == "features":
-        mode, device = pycolmap.CameraMode.PER_FOLDER, pycolmap.Device.cpu
-        pycolmap.extract_features(database, images, camera_mode=mode, device=device, **with_sift(*numbers))
+        mode, device, options = pycolmap.CameraMode.PER_FOLDER, pycolmap.Device.cpu, with_sift(*numbers)
+        if os.path.isdir(f"{folder}/masks"):
+            options["reader_options"] = pycolmap.ImageReaderOptions()
+            options["reader_options"].mask_path = f"{folder}/masks"
+        pycolmap.extract_features(database, images, camera_mode=mode, device=device, **options)
     elif step == "all":
         pycolmap.match_exhaustive(database, device=pycolmap.Device.cpu)
     elif step == "near":

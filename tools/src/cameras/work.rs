@@ -1,3 +1,4 @@
+use super::colmap::MASKS;
 use crate::{outputs::make_folder, scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
@@ -8,7 +9,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     types::{
-        Image, open_file,
+        Image, Masks, open_file,
         poses::{Capture, CaptureView},
     },
 };
@@ -22,7 +23,8 @@ pub(super) struct Work {
 impl Work {
     /// Photos of one size and lens share a folder, and so intrinsics. JPEG and PNG are linked for
     /// COLMAP to read EXIF; others become PNG.
-    pub fn new(photos: &[PathBuf], stage: &Stage<'_>) -> Result<Self> {
+    pub fn new(photos: &[PathBuf], masks: Option<&Masks>, stage: &Stage<'_>) -> Result<Self> {
+        masks.map_or(Ok(()), |masks| masks.check(photos))?;
         let cameras = lenses(photos)?;
         let mut work = Self { folder: Scratch::new()?, photos: Vec::new() };
         stage.each(&photos.iter().enumerate().collect::<Vec<_>>(), |(number, photo)| {
@@ -33,6 +35,13 @@ impl Work {
             match kind {
                 Some(_) => link(photo, &path)?,
                 None => Image::open_as_stored(photo)?.save_png(&path)?,
+            }
+            if let Some(masks) = masks {
+                let Image { width, height, mask, .. } = masks.open(photo, true)?;
+                let path = work.folder.path().join(MASKS).join(format!("{name}.png"));
+                make_folder(path.parent().unwrap_or(&path))?;
+                Image::new(width, height, mask.iter().flatten().flat_map(|value| [*value; 3]).collect())?
+                    .save_png(&path)?;
             }
             work.photos.push(((*photo).clone(), name));
             Ok(())

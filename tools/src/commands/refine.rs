@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
-    refine::{RefineOptions, RefineResult, StopReason},
+    refine::{RefineCheckpoint, RefineOptions, RefineResult, StopReason},
     types::{
         Camera, SaveOptions, Scene, World,
         poses::{Capture, CaptureView, read_cloud},
@@ -29,7 +29,8 @@ use zipsplat::{
 /// The scene's world is that of the cameras, or the camera of a photo, which the scene's file or
 /// --relative-to names. --init points needs no scene, only the capture's point cloud. From 40
 /// photos on one is held out, and the best step by that photo is written. Ctrl-C stops early and
-/// writes the best step so far.
+/// writes the best step so far. Every minute and at Ctrl-C, FILE.checkpoint beside the scene keeps the
+/// state, from which the same command continues.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --cameras transforms.json -o better.ply
@@ -98,12 +99,15 @@ impl Refine {
         let photos = photos::list(session, files)?;
         let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
         let photos = photos::kept(session, photos, Some(&poses), None)?;
+        let masks = self.finding.masks();
+        masks.as_ref().map_or(Ok(()), |masks| masks.check(&photos))?;
         let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
         drop(found);
         let device = session.device()?;
-        let files = PhotoFiles::new(&photos, &frames)?;
-        let (refined, request) = self.refine(session, &device, &started, files)?;
+        let checkpoint = refinement::checkpoint(&self.output, &photos, masks.as_ref())?;
+        let files = PhotoFiles::new(&photos, &frames, masks)?;
+        let (refined, request) = self.refine(session, &device, &started, (files, checkpoint))?;
         let options = SaveOptions::default();
         let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         session.notes(notes);
@@ -111,9 +115,14 @@ impl Refine {
             save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames)?;
         }
         if refined.stop_reason == Some(StopReason::Cancelled) {
-            session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
+            session.note(format!(
+                "{}: the best so far, after step {}; the same command continues",
+                self.output.display(),
+                refined.best_step
+            ));
             return Err(Error::Cancelled);
         }
+        refinement::remove_checkpoint(&request);
         self.report(session, device.limits().name.clone(), &photos, &started.cameras, refined, &request)
     }
 
@@ -164,12 +173,13 @@ impl Refine {
         session: &mut Session<'_>,
         device: &Device,
         started: &Started,
-        photos: PhotoFiles<'_>,
+        (photos, checkpoint): (PhotoFiles<'_>, RefineCheckpoint),
     ) -> Result<(RefineResult, RefineOptions)> {
         let request = RefineOptions {
             views_per_step: self.views_per_step,
             seed: self.seed,
             profile: self.explain,
+            checkpoint: Some(checkpoint),
             ..self.settings.request(self.steps)
         };
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));

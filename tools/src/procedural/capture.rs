@@ -168,6 +168,7 @@ impl Setup {
             width: width as u32,
             height: height as u32,
             rgb: self.development.develop(i, width, light),
+            mask: None,
         };
         let scaled = |depth: Vec<f32>| depth.into_iter().map(|z| z / meters as f32).collect();
         Ok(Capture {

@@ -9,21 +9,24 @@ pub use report::{as_json, explain, summary};
 use crate::{
     cameras::{Similarity, path_from},
     session::{Session, Stage},
+    stamp::{digest, stamp},
 };
 use std::{
     borrow::Cow,
     ops::ControlFlow,
     path::{Path, PathBuf},
+    time::Duration,
 };
 use zipsplat::{
     Error, Result,
     gpu::Arena,
     reconstruct::SceneTokens,
     refine::{
-        FrozenHead, Photos, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens,
+        FrozenHead, Photos, RefineCheckpoint, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene,
+        refine_tokens,
     },
     types::{
-        Camera, Image, PointCloud, Pose, Scene,
+        Camera, Image, Masks, PointCloud, Pose, Scene,
         poses::{CaptureView, write_frames},
     },
 };
@@ -41,6 +44,28 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
         *at = (pose.transform(at.map(f64::from).into()) / unit).as_vec3().to_array();
     }
     cloud
+}
+
+/// Time between two writes of a checkpoint.
+const INTERVAL: Duration = Duration::from_secs(60);
+
+/// Returns the checkpoint of a refinement that writes `output`: a file beside it.
+pub fn checkpoint(output: &Path, photos: &[PathBuf], masks: Option<&Masks>) -> Result<RefineCheckpoint> {
+    let mut parts = vec![format!("{:?}", masks.map(|masks| masks.inverted))];
+    for photo in photos {
+        parts.push(stamp(photo)?);
+        parts.extend(masks.map(|masks| stamp(&masks.file(photo)?)).transpose()?);
+    }
+    let mut path = output.as_os_str().to_owned();
+    path.push(".checkpoint");
+    Ok(RefineCheckpoint { path: path.into(), interval: INTERVAL, photos: digest(&parts) })
+}
+
+/// Removes the checkpoint of a scene that is written.
+pub fn remove_checkpoint(request: &RefineOptions) {
+    if let Some(checkpoint) = &request.checkpoint {
+        std::fs::remove_file(&checkpoint.path).ok();
+    }
 }
 
 /// Photos that are not opened after a cancellation.

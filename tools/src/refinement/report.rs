@@ -27,11 +27,16 @@ pub fn summary(refined: &RefineResult, start: &str, given: &[Camera]) -> String 
     let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
         format!("; cameras turned by {degrees:.2} degrees and moved by {} (medians)", significant(distance))
     });
+    let resumed = match refined.resumed_step {
+        0 => String::new(),
+        step => format!(", resumed after step {step}"),
+    };
     format!(
-        "refined from {start} in {}: kept is step {step} of {steps}; {training} {before:.2} to {after:.2} dB{}{}",
+        "refined from {start} in {}: kept is step {step} of {steps}{resumed}; {training} {before:.2} to {after:.2} dB{}{}{}",
         time(refined.took),
         psnr.unwrap_or_default(),
-        cameras.unwrap_or_default()
+        cameras.unwrap_or_default(),
+        masked(refined).map(|percent| format!("; masks ignore {percent} of the pixels")).unwrap_or_default()
     )
 }
 
@@ -41,9 +46,9 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
         "init": start,
         "camera_movement": cameras.map(|[degrees, distance]| json!({ "rotation_deg": degrees, "translation": distance })),
         "exposures": refined.exposures.as_ref().map(|all| all.iter().map(|exposure| exposure.0).collect::<Vec<_>>()),
-        "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
+        "masked_fraction": refined.masked_fraction, "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
         "holdout_psnr": refined.psnr().map(|[best, initial]| json!({ "initial": initial, "best": best })),
-        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
+        "steps": refined.losses.len(), "resumed_step": refined.resumed_step, "best_step": refined.best_step, "losses": refined.losses,
         "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes,
         "stop_reason": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
@@ -98,12 +103,17 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
         ("rates", format!("{rates}; less for more than 100 steps; they fall to a tenth")),
         ("held-out photos", or_none(held.join(", "))),
         ("largest photo", or_none(sizes.join(", "))),
+        ("masked", masked(refined).unwrap_or("none".into())),
         ("memory", bytes(refined.peak_bytes)),
         ("stop reason", ended(refined)),
     ] {
         table.row([what.into(), value]);
     }
     table
+}
+
+fn masked(refined: &RefineResult) -> Option<String> {
+    (refined.masked_fraction > 0.0).then(|| format!("{:.1} %", 100.0 * refined.masked_fraction))
 }
 
 fn ended(refined: &RefineResult) -> String {

@@ -49,7 +49,7 @@ pub struct FromPhotos {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
     #[command(flatten)]
-    finding: Finding,
+    pub(super) finding: Finding,
     /// Length in the cameras' unit that is 1 for the network, as in reconstruct
     #[arg(long, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
     pub(super) scene_scale: Option<f64>,
@@ -99,6 +99,7 @@ impl FromPhotos {
         }
         let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
         let photos = photos::kept(session, photos, known.as_ref().map(|known| &known.poses), self.views)?;
+        self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
         Ok(Photographed { photos, known, folder })
     }
 
@@ -111,6 +112,7 @@ impl FromPhotos {
             ("--views", self.views.is_some()),
             ("--scene-scale", self.scene_scale.is_some()),
             ("--refine", self.refines()),
+            ("--masks", self.finding.masks().is_some()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }
@@ -144,9 +146,11 @@ impl FromPhotos {
         Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?
             .pooled(self.quality.kv_pool)?;
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        let masks = self.finding.masks();
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
-        let (views, _) = session.stage("load photos", |stage| crop.load(&photos, &frames, size, stage))?;
+        let (views, _) =
+            session.stage("load photos", |stage| crop.load(&photos, &frames, masks.as_ref(), size, stage))?;
         let Views { images, cameras, note } = views;
         session.notes(note);
         let unit = self.length(session, poses, &cameras, &frames)?;
@@ -216,8 +220,9 @@ impl FromPhotos {
         let camera = |frame: &CaptureView| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
         let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
         let frames: Vec<&CaptureView> = ready.frames.iter().collect();
-        let (photos, _) =
-            session.stage("load photos", |stage| photos::read(&ready.photos, &frames, stage, |_, photo| Ok(photo)))?;
+        let (photos, _) = session.stage("load photos", |stage| {
+            photos::read(&ready.photos, &frames, self.finding.masks().as_ref(), stage, |_, photo| Ok(photo))
+        })?;
         let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
         let (start, tokens) = if steps.tokens {
             let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };

@@ -5,7 +5,7 @@ use super::{
     photos::{Photographed, input_cameras},
 };
 use crate::{
-    depth::{DEPTH_WEIGHTS, check_finds_cameras},
+    depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras},
     options::refuse,
     session::{Session, Stage},
     video::FrameFolder,
@@ -51,7 +51,8 @@ impl FromPhotos {
         let Photographed { photos, known, folder } = self.photographed(session, paths, poses)?;
         let poses = known.as_ref().map(|known| &known.poses);
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        let options = self.quality.predictor_options(checkpoint);
+        let masks = self.finding.masks();
+        let options = PredictorOptions { masks, ..self.quality.predictor_options(checkpoint) };
         let (prepared, _) = session.stage("load photos", |stage| options.read(&photos, &frames, stage))?;
         let ratios = self.ratios(prepared.patches(checkpoint.architecture().backbone.patch_size))?;
         let device = session.device()?;

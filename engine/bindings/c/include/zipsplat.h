@@ -300,7 +300,18 @@ ZS_ENUM(zs_pixel_format) {
 // A decoded photo.
 typedef struct zs_image_buffer zs_image_buffer;
 
-// A photo in the caller's memory, top row first. Alpha is ignored; f32 values are clamped to 0..1
+// Masks of photos' files.
+typedef struct zs_masks {
+    // sizeof(zs_masks).
+    uint32_t struct_size;
+    // 0: pixels of 0 are ignored; 1: the others.
+    uint32_t inverted;
+    // Folder of PNGs of the photos' sizes, without EXIF orientation, and names: 1.png or 1.jpg.png
+    // for 1.jpg. NULL: the photos' alpha channels.
+    const char *folder;
+} zs_masks;
+
+// A photo in the caller's memory, top row first. Alpha is dropped; f32 values are clamped to 0..1
 // and rounded to 8 bits.
 typedef struct zs_image {
     // sizeof(zs_image).
@@ -315,16 +326,23 @@ typedef struct zs_image {
     int64_t stride;
     // First pixel of the top row, of any alignment.
     const void *pixels;
+    // Byte per pixel, top row first, or NULL: 0 ignores a pixel in reconstruction and refinement.
+    const uint8_t *mask;
+    // Bytes between rows of the mask, as `stride`.
+    int64_t mask_stride;
 } zs_image;
 
 // Opens a PNG, JPEG or WebP. Applies the EXIF orientation, drops alpha and keeps the high byte of
 // 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use zs_capture_open_image.
 zs_status zs_image_buffer_open(const char *path, struct zs_image_buffer **photo);
 
+// As zs_image_buffer_open, with the photo's mask.
+zs_status zs_image_buffer_open_masked(const char *path, const struct zs_masks *masks, struct zs_image_buffer **photo);
+
 // As zs_image_buffer_open, from memory.
 zs_status zs_image_buffer_from_memory(const void *data, size_t size, struct zs_image_buffer **photo);
 
-// Returns the pixels, as ZS_PIXEL_RGB8.
+// Returns the pixels, as ZS_PIXEL_RGB8, and the mask, if any.
 zs_status zs_image_buffer_get_image(const struct zs_image_buffer *photo, struct zs_image *image);
 
 // Destroys a photo.
@@ -393,6 +411,13 @@ zs_status zs_capture_open_image(const struct zs_capture *capture,
                                 size_t index,
                                 const char *path,
                                 struct zs_image_buffer **photo);
+
+// As zs_capture_open_image, with the photo's mask.
+zs_status zs_capture_open_masked_image(const struct zs_capture *capture,
+                                       size_t index,
+                                       const char *path,
+                                       const struct zs_masks *masks,
+                                       struct zs_image_buffer **photo);
 
 // Destroys a capture.
 void zs_capture_destroy(struct zs_capture *capture);

@@ -2,7 +2,7 @@
 
 use super::{
     camera::zs_camera,
-    image::zs_image_buffer,
+    image::{zs_image_buffer, zs_masks},
     pointers::{Versioned, borrow, describe, destroy, optional_text, produce, put, read_array, read_given, text},
     status::{Failure, guard, zs_status},
 };
@@ -12,7 +12,7 @@ use std::{
     ptr::null,
 };
 use zipsplat::{
-    Capture,
+    Capture, Image,
     types::poses::{CaptureView, write_frames},
 };
 
@@ -186,18 +186,45 @@ pub unsafe extern "C" fn zs_capture_open_image(
     path: *const c_char,
     photo: *mut *mut zs_image_buffer,
 ) -> zs_status {
+    // SAFETY: the caller's arguments.
+    unsafe { produce(photo, || open(capture, index, path, |frame, path| frame.open(path))) }
+}
+
+/// As zs_capture_open_image, with the photo's mask.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_capture_open_masked_image(
+    capture: *const zs_capture,
+    index: usize,
+    path: *const c_char,
+    masks: *const zs_masks,
+    photo: *mut *mut zs_image_buffer,
+) -> zs_status {
     let open = || {
         // SAFETY: the caller's arguments.
-        let (capture, path) = unsafe { (borrow(capture, "capture")?, optional_text(path, "path")?) };
-        let frame = at(&capture.capture.frames, index)?;
-        let path = path.map(Path::new).or(frame.photo.as_deref());
-        let path = path.ok_or_else(|| {
-            Failure::argument(format!("photo {}", frame.name), "none", "one where the capture says it is, or a path")
-        })?;
-        Ok(zs_image_buffer { image: frame.open(path)? })
+        let masks = unsafe { zs_masks::read(masks) }?;
+        // SAFETY: the caller's arguments.
+        unsafe { open(capture, index, path, |frame, path| frame.open_masked(path, &masks)) }
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(photo, open) }
+}
+
+/// # Safety
+/// A capture and a string, or NULL.
+unsafe fn open(
+    capture: *const zs_capture,
+    index: usize,
+    path: *const c_char,
+    open: impl Fn(&CaptureView, &Path) -> zipsplat::Result<Image>,
+) -> Result<zs_image_buffer, Failure> {
+    // SAFETY: the caller's promise.
+    let (capture, path) = unsafe { (borrow(capture, "capture")?, optional_text(path, "path")?) };
+    let frame = at(&capture.capture.frames, index)?;
+    let path = path.map(Path::new).or(frame.photo.as_deref());
+    let path = path.ok_or_else(|| {
+        Failure::argument(format!("photo {}", frame.name), "none", "one where the capture says it is, or a path")
+    })?;
+    Ok(zs_image_buffer { image: open(frame, path)? })
 }
 
 /// Destroys a capture.

@@ -1,13 +1,13 @@
 //! Images.
 
 use super::{
-    pointers::{Versioned, array, describe, destroy, produce, read_given, text},
-    status::{guard, zs_status},
+    pointers::{Versioned, array, describe, destroy, optional_text, produce, read_given, text},
+    status::{Failure, guard, zs_status},
 };
 use std::ffi::{c_char, c_void};
 use zipsplat::{
     Error, Result,
-    types::{Image, MAX_DECODED_BYTES, MAX_SIDE},
+    types::{Image, MAX_DECODED_BYTES, MAX_SIDE, MaskSource, Masks},
 };
 
 /// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
@@ -51,7 +51,7 @@ impl zs_pixel_format {
     }
 }
 
-/// A photo in the caller's memory, top row first. Alpha is ignored; f32 values are clamped to 0..1
+/// A photo in the caller's memory, top row first. Alpha is dropped; f32 values are clamped to 0..1
 /// and rounded to 8 bits.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -68,9 +68,26 @@ pub struct zs_image {
     pub stride: i64,
     /// First pixel of the top row, of any alignment.
     pub pixels: *const c_void,
+    /// Byte per pixel, top row first, or NULL: 0 ignores a pixel in reconstruction and refinement.
+    pub mask: *const u8,
+    /// Bytes between rows of the mask, as `stride`.
+    pub mask_stride: i64,
 }
 
-versioned!(zs_image);
+/// Masks of photos' files.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_masks {
+    /// sizeof(zs_masks).
+    pub struct_size: u32,
+    /// 0: pixels of 0 are ignored; 1: the others.
+    pub inverted: u32,
+    /// Folder of PNGs of the photos' sizes, without EXIF orientation, and names: 1.png or 1.jpg.png
+    /// for 1.jpg. NULL: the photos' alpha channels.
+    pub folder: *const c_char,
+}
+
+versioned!(zs_image, zs_masks);
 
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
@@ -93,6 +110,21 @@ pub unsafe extern "C" fn zs_image_buffer_open(path: *const c_char, photo: *mut *
     unsafe { produce(photo, open) }
 }
 
+/// As zs_image_buffer_open, with the photo's mask.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_image_buffer_open_masked(
+    path: *const c_char,
+    masks: *const zs_masks,
+    photo: *mut *mut zs_image_buffer,
+) -> zs_status {
+    // SAFETY: the caller's arguments.
+    let open = || {
+        Ok(zs_image_buffer { image: unsafe { zs_masks::read(masks) }?.open(unsafe { text(path, "path") }?, false)? })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(photo, open) }
+}
+
 /// As zs_image_buffer_open, from memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_from_memory(
@@ -108,13 +140,14 @@ pub unsafe extern "C" fn zs_image_buffer_from_memory(
     unsafe { produce(photo, decode) }
 }
 
-/// Returns the pixels, as ZS_PIXEL_RGB8.
+/// Returns the pixels, as ZS_PIXEL_RGB8, and the mask, if any.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_get_image(photo: *const zs_image_buffer, image: *mut zs_image) -> zs_status {
     let of = |photo: &zs_image_buffer| {
-        let Image { width, height, rgb } = &photo.image;
+        let Image { width, height, rgb, mask } = &photo.image;
         let (pixels, format) = (rgb.as_ptr().cast(), zs_pixel_format::ZS_PIXEL_RGB8 as i32);
-        Ok(zs_image { format, width: *width, height: *height, pixels, ..Versioned::new() })
+        let mask = mask.as_ref().map_or(std::ptr::null(), Vec::as_ptr);
+        Ok(zs_image { format, width: *width, height: *height, pixels, mask, ..Versioned::new() })
     };
     // SAFETY: the caller's arguments.
     unsafe { describe(photo, "photo", image, of) }
@@ -167,7 +200,30 @@ impl zs_image {
             let row = unsafe { std::slice::from_raw_parts(self.pixels.cast::<u8>().offset(y * stride), row_bytes) };
             append_rgb(&mut rgb, row, format);
         }
-        Ok(Image { width, height, rgb })
+        if self.mask.is_null() {
+            return Ok(Image { width, height, rgb, mask: None });
+        }
+        let stride = checked_stride(self.mask_stride, width as usize, height, &field("mask_stride"))?;
+        // SAFETY: as for the pixels.
+        let row = |y: isize| unsafe { std::slice::from_raw_parts(self.mask.offset(y * stride), width as usize) };
+        Image { width, height, rgb, mask: None }.with_mask((0..height as isize).flat_map(row).copied().collect())
+    }
+}
+
+impl zs_masks {
+    /// # Safety
+    /// NULL or a structure of its stated size.
+    pub(super) unsafe fn read(masks: *const Self) -> Result<Masks, Failure> {
+        // SAFETY: the caller's promise.
+        let (masks, folder) = unsafe {
+            let masks = read_given(masks)?;
+            (masks, optional_text(masks.folder, "folder")?)
+        };
+        if masks.inverted > 1 {
+            return Err(Failure::argument("inverted", masks.inverted, "0 or 1"));
+        }
+        let source = folder.map_or(MaskSource::Alpha, |folder| MaskSource::Folder(folder.into()));
+        Ok(Masks { source, inverted: masks.inverted == 1 })
     }
 }
 

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion_from_matrix};
-use super::{Image, Lens, PointCloud, file::read_file};
+use super::{Image, Lens, Masks, PointCloud, file::read_file};
 use crate::{Error, Result};
 
 pub use colmap::{colmap_files, write_colmap};
@@ -60,7 +60,15 @@ impl CaptureView {
 
     /// Opens a photo as seen by this frame's camera: undistorted, regardless of EXIF orientation.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Image> {
-        let photo = Image::open_as_stored(path)?;
+        self.undistort(Image::open_as_stored(path)?)
+    }
+
+    /// Opens a photo as [`CaptureView::open`], with its mask.
+    pub fn open_masked(&self, path: impl AsRef<Path>, masks: &Masks) -> Result<Image> {
+        self.undistort(masks.open(path, true)?)
+    }
+
+    fn undistort(&self, photo: Image) -> Result<Image> {
         match &self.lens {
             Some(lens) => lens.undistort(&photo),
             None => Ok(photo),

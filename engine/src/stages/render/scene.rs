@@ -86,6 +86,17 @@ impl SceneMemory {
         &self.memory
     }
 
+    /// Makes the Gaussians invisible of all but these of `count` tokens, if given.
+    pub fn show_tokens(&self, tokens: Option<&[usize]>, count: usize) -> Result<()> {
+        let Some(tokens) = tokens else { return Ok(()) };
+        let all: Vec<f32> = self.memory.read(self.tensors.opacities)?;
+        let (each, mut opacities) = (all.len() / count, vec![0.0; all.len()]);
+        for token in tokens.iter().map(|token| token * each..(token + 1) * each) {
+            opacities[token.clone()].copy_from_slice(&all[token]);
+        }
+        self.memory.write(self.tensors.opacities, &opacities)
+    }
+
     /// Returns the written scene.
     ///
     /// # Panics

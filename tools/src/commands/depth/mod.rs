@@ -102,6 +102,7 @@ impl Depth {
         let truth = self.ground_truth.as_deref().map(Truth::open).transpose()?;
         let request = DepthOptions { reference_view: self.reference_view, ..Default::default() };
         let options = PredictorOptions {
+            masks: None,
             checkpoint: &checkpoint,
             side: self.input_size,
             cameras: self.source,

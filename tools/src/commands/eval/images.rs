@@ -1,6 +1,6 @@
 use super::Eval;
 use crate::{
-    metrics::{self, psnr, ssim, values},
+    metrics::{self, masked_ssim, psnr, values},
     options::refuse,
     outputs, photos,
     session::{Session, Stage},
@@ -9,7 +9,11 @@ use crate::{
 use serde::Serialize;
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use zipsplat::{Error, Result, perceptual::Perceptual, types::Image};
+use zipsplat::{
+    Error, Result,
+    perceptual::Perceptual,
+    types::{Image, Masks},
+};
 
 /// Two pictures or folders of pictures, matched by file name without extension.
 pub struct ImageSets<'a> {
@@ -54,7 +58,8 @@ impl ImageSets<'_> {
         if lpips.is_none() && eval.lpips.is_default() {
             session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
         }
-        let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, lpips.as_mut()));
+        let masks = eval.finding.masks();
+        let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, masks.as_ref(), lpips.as_mut()));
         let (rows, _) = session.stage("compare", compared)?;
         let small = rows.iter().filter(|row| row.lpips.is_none()).count();
         if let Some(lpips) = lpips.filter(|_| small > 0) {
@@ -129,8 +134,10 @@ fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
-    let [a, b] = [Image::open(&pair.files[0])?, Image::open(&pair.files[1])?];
+/// Masks are those of the second picture.
+fn compare(pair: &Pair, masks: Option<&Masks>, lpips: Option<&mut Perceptual>) -> Result<Row> {
+    let a = Image::open(&pair.files[0])?;
+    let b = masks.map_or_else(|| Image::open(&pair.files[1]), |masks| masks.open(&pair.files[1], false))?;
     let (width, height) = (a.width, a.height);
     if (b.width, b.height) != (width, height) {
         let found = format!("{width}x{height} and {}x{}", b.width, b.height);
@@ -143,14 +150,14 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
             "11x11, a window of SSIM, or more",
         ));
     }
-    let [x, y] = [values(&a), values(&b)];
-    let lpips = metrics::lpips(lpips, [&x, &y], [width, height])?;
+    let [x, y] = metrics::hidden(&b, &values(&a), &values(&b));
+    let lpips = metrics::masked_lpips(lpips, &b, &x)?;
     if let Some(path) = &pair.difference {
         let off = a.rgb.iter().zip(&b.rgb).map(|(a, b)| a.abs_diff(*b).saturating_mul(4)).collect();
         outputs::save_picture(path, &Image::new(width, height, off)?)?;
     }
-    let psnr = Some(psnr(&x, &y)).filter(|psnr| psnr.is_finite());
-    Ok(Row { name: pair.name.clone(), psnr, ssim: ssim(&x, &y, width as usize, height as usize), lpips })
+    let psnr = Some(psnr(&b.kept(&x), &b.kept(&y))).filter(|psnr| psnr.is_finite());
+    Ok(Row { name: pair.name.clone(), psnr, ssim: masked_ssim(&b, &x, &y), lpips })
 }
 
 /// PSNR skips equal pictures.

@@ -14,7 +14,7 @@ use crate::{
     cameras::{Finding, KnownCameras},
     capture::Choice,
     metrics::LpipsOption,
-    options::{Network, Quality, Size, Weights, parse_length},
+    options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::Overwrite,
     photos,
     protocol::Filter,
@@ -189,6 +189,9 @@ impl Eval {
             Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
         };
         self.refine.check()?;
+        let other = self.aligning().is_some() || self.series.protocol.is_some();
+        let given = self.finding.masks().is_some() && other;
+        refuse("--masks", given, "aligned cameras or a --protocol", "a capture with known cameras")?;
         if self.external.given().is_none() {
             self.external.input.refuse("without --scene", "with --scene")?;
         }

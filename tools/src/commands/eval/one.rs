@@ -42,6 +42,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         Some(known) => Choice::of(known.poses.clone(), folder, views, targets)?,
         None => Choice::new(folder, views, targets).map_err(without_cameras)?,
     };
+    choice.masks = eval.finding.masks();
     choice.disturb(eval.pose_noise, eval.scene_scale)?;
     if let (None, Network::Tokens(checkpoint)) = (eval.external.given(), &weights) {
         eval.check_shape(checkpoint, seeing, &choice)?;

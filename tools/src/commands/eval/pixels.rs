@@ -49,7 +49,7 @@ impl Evaluator<'_> {
         let (inputs, pose_free) = (choice.input_frames(), self.eval.pose_free);
         let known = if pose_free { &[][..] } else { &inputs[..] };
         let (mut predicted, took) = session.stage("depth", |stage| {
-            let prepared = predictor.prepare(&choice.inputs(), known, stage)?;
+            let prepared = predictor.prepare(&choice.inputs(), known, choice.masks.as_ref(), stage)?;
             predictor.predict(prepared, stage)
         })?;
         session.notes(&predicted.notes);

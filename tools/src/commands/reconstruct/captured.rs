@@ -57,6 +57,7 @@ impl Reconstruct {
         }
         let photos = photos::kept(session, photos, poses.as_ref(), self.views)?;
         self.check_count(&photos)?;
+        self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
         Ok(Captured { photos, poses, frame_folder, found })
     }
 

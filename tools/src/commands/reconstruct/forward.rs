@@ -88,7 +88,9 @@ impl Planned<'_> {
         let Self { command, checkpoint, posed: Posed { photos, poses, frames }, size, shape } = self;
         let (quality, crop) = (&command.quality, command.crop.crop);
         let (precision, arithmetic) = quality.arithmetic.choose(session, device)?;
-        let (views, load_photos) = session.stage(LOAD_PHOTOS, |stage| crop.load(photos, frames, size, stage))?;
+        let masks = command.finding.masks();
+        let (views, load_photos) =
+            session.stage(LOAD_PHOTOS, |stage| crop.load(photos, frames, masks.as_ref(), size, stage))?;
         let Views { images, cameras, note } = views;
         session.notes(note);
         let scene_scale = match (poses, frames.first()) {
@@ -120,6 +122,7 @@ impl Planned<'_> {
             ("height", json!(size.1)),
             ("tokens", json!(result.tokens)),
             ("all_tokens", json!(shape.grid.tokens())),
+            ("unmasked_tokens", json!(result.unmasked.as_ref().map(Vec::len))),
             ("scene_scale", json!(length)),
             ("scene_scale_source", json!(scene_scale.as_ref().map(|scene_scale| &scene_scale.source))),
             ("gaussians_per_token", json!(each)),

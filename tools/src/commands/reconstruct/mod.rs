@@ -224,10 +224,12 @@ impl Reconstruct {
         }) = &refined
         {
             session.notes(save()?);
-            session.note(format!("{}: the best so far, after step {best_step}", self.output().display()));
+            let output = self.output().display();
+            session.note(format!("{output}: the best so far, after step {best_step}; the same command continues"));
             return Err(Error::Cancelled);
         }
         let (notes, write) = session.stage("write", |_| save())?;
+        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request));
         session.notes(notes);
         let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
         if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {

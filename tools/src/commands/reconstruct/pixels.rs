@@ -29,7 +29,7 @@ impl Reconstruct {
     pub fn predictor_options<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> PredictorOptions<'a> {
         let predictor_options = self.quality.predictor_options(checkpoint);
         let side = predictor_options.side.or(self.finding.search.matching_size);
-        PredictorOptions { side, cameras: self.finding.cameras, ..predictor_options }
+        PredictorOptions { side, masks: self.finding.masks(), cameras: self.finding.cameras, ..predictor_options }
     }
 }
 

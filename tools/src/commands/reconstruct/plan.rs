@@ -76,6 +76,7 @@ fn show_tokens(
             moved,
             views,
             command.refine.settings.largest(photos)?,
+            command.finding.masks().is_some(),
             &command.refine.settings.request(steps),
         )
     });

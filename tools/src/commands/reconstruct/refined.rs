@@ -53,8 +53,10 @@ impl Reconstruct {
         let world = frames[0].camera.pose;
         let camera = |frame: &&CaptureView| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
-        let photos = PhotoFiles::new(photos, frames)?;
-        let request = self.refine.settings.request(steps);
+        let masks = self.finding.masks();
+        let checkpoint = Some(refinement::checkpoint(self.output(), photos, masks.as_ref())?);
+        let photos = PhotoFiles::new(photos, frames, masks)?;
+        let request = RefineOptions { checkpoint, ..self.refine.settings.request(steps) };
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());

@@ -34,6 +34,7 @@ class HasDLPack(Protocol):
 
 ImageLike = Union[PathLike, bytes, HasArrayInterface, HasDLPack]
 ImagesLike = Union[PathLike, Capture, Sequence[ImageLike]]
+MasksLike = Union[PathLike, Sequence[npt.ArrayLike]]
 CamerasLike = Union[PathLike, Capture, Sequence[Camera]]
 
 
@@ -82,21 +83,43 @@ def save_image(path: PathLike, pixels: npt.ArrayLike) -> None:
     call("zs_image_save_png", images, os.fsencode(path))
 
 
-def native(sources: Sequence[Any]) -> tuple[Any, list[Any]]:
+def native(
+    sources: Sequence[Any], masks: Optional[MasksLike] = None, inverted: bool = False
+) -> tuple[Any, list[Any]]:
     """Converts images for the library, with references to keep alive. Decodes in parallel."""
+    of_files, arrays = None, None
+    if isinstance(masks, (str, os.PathLike)):
+        folder = ffi.NULL if masks == "alpha" else ffi.new("char[]", os.fsencode(masks))
+        of_files = structure("masks", inverted=int(inverted), folder=folder)
+    elif masks is not None:
+        arrays = [_mask(f"mask {index}", mask, inverted) for index, mask in enumerate(masks)]
+        if len(arrays) != len(sources):
+            raise ArgumentError(f"found {len(arrays)} masks, expected one for each of {len(sources)} images")
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        loaded = list(pool.map(_load, range(len(sources)), sources))
+        loaded = list(pool.map(lambda index, source: _load(index, source, of_files), range(len(sources)), sources))
     out = ffi.new("zs_image[]", len(loaded))
-    for to, source in zip(out, loaded):
+    for index, (to, source) in enumerate(zip(out, loaded)):
         to.struct_size = ffi.sizeof("zs_image")
         if isinstance(source, Handle):
             call("zs_image_buffer_get_image", source, ffi.addressof(to))
-            continue
-        to.format = _FORMATS[source.dtype.type, source.shape[2]]
-        to.height, to.width = source.shape[:2]
-        to.stride = source.strides[0]
-        to.pixels = ffi.cast("void *", source.ctypes.data)
-    return out, list(loaded)
+        else:
+            to.format = _FORMATS[source.dtype.type, source.shape[2]]
+            to.height, to.width = source.shape[:2]
+            to.stride = source.strides[0]
+            to.pixels = ffi.cast("void *", source.ctypes.data)
+        if arrays is not None:
+            if arrays[index].shape != (to.height, to.width):
+                found, expected = list(arrays[index].shape), [to.height, to.width]
+                raise ArgumentError(f"mask {index}: found shape {found}, expected {expected}, as its image")
+            to.mask, to.mask_stride = ffi.cast("uint8_t *", arrays[index].ctypes.data), 0
+    return out, [loaded, arrays]
+
+
+def _mask(name: str, mask: npt.ArrayLike, inverted: bool) -> npt.NDArray[np.uint8]:
+    array = np.asarray(mask)
+    if array.ndim != 2:
+        raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected [height, width]")
+    return np.ascontiguousarray((array != 0) != inverted, dtype=np.uint8)
 
 
 def matched(
@@ -153,9 +176,12 @@ class _Posed:
     def __init__(self, capture: Capture, index: int, path: Optional[PathLike]) -> None:
         self.capture, self.index, self.path = capture, index, path
 
-    def open(self) -> Handle:
+    def open(self, masks: Any) -> Handle:
         path = ffi.NULL if self.path is None else os.fsencode(self.path)
-        return Handle("image_buffer", "zs_capture_open_image", self.capture._handle, self.index, path)
+        photo = (self.capture._handle, self.index, path)
+        if masks is None:
+            return Handle("image_buffer", "zs_capture_open_image", *photo)
+        return Handle("image_buffer", "zs_capture_open_masked_image", *photo, masks)
 
 
 _FORMATS = {
@@ -166,11 +192,15 @@ _FORMATS = {
 }
 
 
-def _load(index: int, source: Any) -> Any:
+def _load(index: int, source: Any, masks: Any = None) -> Any:
     if isinstance(source, Handle):
         return source
     if isinstance(source, _Posed):
-        return source.open()
+        return source.open(masks)
+    if isinstance(source, (str, os.PathLike)) and masks is not None:
+        return Handle("image_buffer", "zs_image_buffer_open_masked", os.fsencode(source), masks)
+    if masks is not None:
+        raise ArgumentTypeError(f"found image {index} of type {type(source).__name__}, expected paths, as masks are")
     if isinstance(source, (str, os.PathLike)):
         return Handle("image_buffer", "zs_image_buffer_open", os.fsencode(source))
     if isinstance(source, (bytes, bytearray, memoryview)):

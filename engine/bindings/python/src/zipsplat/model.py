@@ -13,7 +13,7 @@ from .cameras import PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, opened
 from .errors import ArgumentError
-from .images import CamerasLike, ImagesLike, matched
+from .images import CamerasLike, ImagesLike, MasksLike, matched
 from .images import native as native_images
 from .progress import Callback, ProgressFunction
 from .reconstruction import Reconstruction
@@ -123,6 +123,8 @@ class Model(Owner):
         seed: int = 0,
         kv_pool: int = 1,
         input_size: Optional[tuple[int, int]] = None,
+        masks: Optional[MasksLike] = None,
+        invert_masks: bool = False,
         progress: Optional[ProgressFunction] = None,
     ) -> Reconstruction:
         """Reconstructs a scene from 1 to 192 photos of one place.
@@ -145,6 +147,10 @@ class Model(Owner):
                 patches, 1 to 4. Larger values are faster and less exact.
             input_size: Width and height of the network's input, multiples of `patch_size`; photos
                 are center-cropped. None for the model's own.
+            masks: Pixels to ignore, where they are 0: a folder of PNGs of the photos' sizes and names
+                (1.png or 1.jpg.png for 1.jpg), "alpha" for the photos' alpha channels, or an array
+                [height, width] per image.
+            invert_masks: Whether 0 keeps a pixel, and other values ignore it.
             progress: Called with the Progress. Returning False raises CancelledError; its
                 exceptions propagate.
 
@@ -177,7 +183,7 @@ class Model(Owner):
         for name, value in (("ratio", ratio), ("scene_scale", scene_scale)):
             if value != "auto" and float(value) <= 0:
                 raise ArgumentError(f"{name}: found {value!r}, expected a number above 0, or 'auto'")
-        photos, _kept = native_images(sources)
+        photos, _kept = native_images(sources, masks, invert_masks)
         found = Handle("reconstruction", "zs_reconstruct", self._handle, photos, len(sources), options)
         return Reconstruction(found, self.device)
 

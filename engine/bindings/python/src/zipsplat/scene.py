@@ -16,7 +16,7 @@ from .cameras import Camera, PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
 from .errors import ArgumentError
-from .images import CamerasLike, ImagesLike, matched
+from .images import CamerasLike, ImagesLike, MasksLike, matched
 from .images import native as native_images
 from .progress import Callback, ProgressFunction
 from .refine import RefineResult, refine_result
@@ -372,6 +372,8 @@ class Scene:
         max_gaussians: Union[int, Literal["auto"]] = "auto",
         perceptual_weight: float = 0.0,
         target: RefineTarget = "gaussians",
+        masks: Optional[MasksLike] = None,
+        invert_masks: bool = False,
         progress: Optional[ProgressFunction] = None,
         device: DeviceLike = None,
     ) -> Scene:
@@ -397,6 +399,8 @@ class Scene:
             perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
                 tools/lpips.py of a checkout fetches.
             target: "gaussians", or "tokens" of a Reconstruction of a model with `tokens`.
+            masks: Pixels to ignore, as for Model.reconstruct.
+            invert_masks: Whether 0 keeps a pixel, and other values ignore it.
             progress: Called with the Progress after each step. Returning False ends the refinement
                 with its best scene. Its exceptions propagate.
             device: The device, as for Device; None for the scene's own or the best.
@@ -415,7 +419,7 @@ class Scene:
         if posed is None:
             raise ArgumentError("cameras: found none, expected one per image, as from zipsplat.estimate_cameras")
         on = opened(self._device if device is None else device)
-        photos, _kept = native_images(sources)
+        photos, _kept = native_images(sources, masks, invert_masks)
         callback = Callback(progress)
         refined_cameras = native_cameras(posed)
         options = structure(

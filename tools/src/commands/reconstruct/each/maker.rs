@@ -14,7 +14,7 @@ use zipsplat::{
     Result,
     reconstruct::Model,
     types::{
-        Pose, Scene, World,
+        Masks, Pose, Scene, World,
         poses::{Capture, CaptureView},
     },
     weights::{Checkpoint, DepthCheckpoint},
@@ -87,13 +87,14 @@ impl<'a> Maker<'a> {
         photos: &[PathBuf],
         poses: Option<&Capture>,
         frames: &[&CaptureView],
+        masks: Option<&Masks>,
         stage: &Stage<'_>,
     ) -> Result<Input> {
         match self {
             Self::Tokens { size, .. } => {
                 let crop = batch.crop();
                 crop.count(photos)?;
-                let views = crop.load(photos, frames, *size, stage)?;
+                let views = crop.load(photos, frames, masks, *size, stage)?;
                 let unit = match (poses, frames.first()) {
                     (Some(poses), Some(first)) => poses.scene_scale(None, &views.cameras, &first.camera.pose)?.length,
                     _ => 1.0,
@@ -102,7 +103,7 @@ impl<'a> Maker<'a> {
             }
             Self::Pixels(predictor) => {
                 let points = poses.and_then(|poses| poses.points.clone());
-                Ok(Input::Pixels(predictor.prepare(photos, frames, stage)?, points))
+                Ok(Input::Pixels(predictor.prepare(photos, frames, masks, stage)?, points))
             }
         }
     }

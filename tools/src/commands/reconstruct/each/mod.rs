@@ -23,7 +23,7 @@ use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
     types::{
-        SaveOptions, SceneFormat, World,
+        Masks, SaveOptions, SceneFormat, World,
         poses::{Capture, CaptureView},
     },
 };
@@ -258,13 +258,15 @@ impl Runner<'_> {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument(format!("photos in {}", work.folder.display()), photos.len(), expected));
         }
-        let hash = self.hash(&photos, poses.as_ref())?;
+        let masks = self.batch.command.finding.search.masks.below(&work.folder);
+        let hash = self.hash(&photos, poses.as_ref(), masks.as_ref())?;
         if is_finished(work, &hash) {
             return Ok(None);
         }
         let frames: Vec<&CaptureView> =
             poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        let input = self.maker.prepare(self.batch, &photos, poses.as_ref(), &frames, stage)?;
+        masks.as_ref().map_or(Ok(()), |masks| masks.check(&photos))?;
+        let input = self.maker.prepare(self.batch, &photos, poses.as_ref(), &frames, masks.as_ref(), stage)?;
         let world = World::of_first(&frames);
         Ok(Some(Prepared { input, hash, photos: photos.len(), world }))
     }
@@ -283,10 +285,13 @@ impl Runner<'_> {
         Ok(FinishedScene { scene, world, record })
     }
 
-    fn hash(&self, photos: &[PathBuf], poses: Option<&Capture>) -> Result<String> {
+    fn hash(&self, photos: &[PathBuf], poses: Option<&Capture>, masks: Option<&Masks>) -> Result<String> {
         let mut parts = vec![self.settings_key.clone()];
         for photo in photos {
             parts.push(stamp(photo)?);
+            if let Some(masks) = masks {
+                parts.push(format!("{} {}", masks.inverted, stamp(&masks.file(photo)?)?));
+            }
         }
         if let Some(poses) = poses {
             parts.push(format!("{:?}", poses.frames));

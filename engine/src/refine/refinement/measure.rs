@@ -1,0 +1,69 @@
+//! Measurements that change no result.
+
+use super::{Kept, Refinement};
+use crate::{
+    Error, Result,
+    gpu::Profile,
+    refine::{schedule::phases, views::View},
+    types::{ColorTransform, Image},
+};
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+impl Refinement<'_> {
+    /// Returns the mean PSNR with the kept cameras and exposures.
+    pub fn training_psnr(&mut self) -> Result<f64> {
+        let Kept { cameras, exposures, .. } = &self.kept;
+        let (mut sum, mut seen) = (0.0, false);
+        for view in &mut self.measured {
+            view.camera.pose = cameras[view.photo].pose;
+            let (drawn, intersections) = self.gaussians.draw(view)?;
+            let drawn = exposures.as_ref().map(|all| all.get(view.photo).apply(&drawn)).unwrap_or(drawn);
+            sum += view.psnr(&drawn);
+            seen |= intersections > 0;
+        }
+        for photo in &self.training {
+            if !seen {
+                let (size, camera) = (self.photos.size(*photo, 1), self.photos.camera(*photo, &cameras[*photo], 1)?);
+                let exposure = ColorTransform::IDENTITY;
+                let image = Arc::new(Image { width: 0, height: 0, rgb: Vec::new(), mask: None });
+                let view = View { photo: *photo, size, image, camera, exposure };
+                seen = self.gaussians.draw(&view)?.1 > 0;
+            }
+        }
+        if !seen {
+            let expected = "cameras in the scene's world that have some of it in front of them";
+            return Err(Error::argument("scene to refine", "no Gaussian that any photo's camera sees", expected));
+        }
+        Ok(sum / self.measured.len() as f64)
+    }
+
+    /// Returns the mean time of a step, from one at each size. Changes the Gaussians' moments.
+    pub fn time_step(&mut self) -> Result<Duration> {
+        let mut mean = Duration::ZERO;
+        for (fraction, factor) in phases(self.options.coarse_to_fine, self.shortest()) {
+            let views = self.first_views(factor)?;
+            let views: Vec<&View> = views.iter().collect();
+            // The first records and compiles.
+            self.gaussians.step(&views, 0.0)?;
+            let begin = Instant::now();
+            self.gaussians.step(&views, 0.0)?;
+            mean += begin.elapsed().mul_f64(fraction);
+        }
+        Ok(mean)
+    }
+
+    /// Returns as many views as a step has.
+    fn first_views(&mut self, factor: u32) -> Result<Vec<View>> {
+        let chosen = &self.training[..self.training.len().min(self.options.views_per_step)];
+        self.photos.views(self.cameras.all(), chosen, &[], factor)
+    }
+
+    pub(super) fn profile(&mut self) -> Result<Profile> {
+        let views = self.first_views(1)?;
+        self.gaussians.profile(&views.iter().collect::<Vec<_>>())
+    }
+}
