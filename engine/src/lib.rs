@@ -27,10 +27,12 @@
 //!
 //! The crate builds on [`types`] (`zipsplat-formats`, without GPU), [`gpu`] (`zipsplat-gpu`, the
 //! only crate that names Vulkan) and [`random`]. Its modules depend only on those before them:
-//! `ops`, `tune`, `stages`, `weights`, `perceptual`, `cameras`, `reconstruct`, `depth`, `refine`.
+//! `ops`, `tune`, `stages`, `weights`, `perceptual`, `features`, `cameras`, `reconstruct`, `depth`,
+//! `refine`.
 
 pub mod cameras;
 pub mod depth;
+pub mod features;
 #[doc(hidden)]
 pub mod ops;
 #[doc(hidden)]

@@ -6,6 +6,7 @@
 pub mod backbone;
 pub mod cluster;
 pub mod depth;
+pub mod features;
 pub mod forward;
 pub mod fuse;
 pub mod gaussians;

@@ -43,6 +43,7 @@ layout(set = 0, binding = 11) writeonly buffer DValues { float d_values[]; };
 layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row; uint row_count; uint capacity; };
 
 #include "shared/runs.glsl"
+#include "shared/slots.glsl"
 
 const uint CHANNELS = (COLOR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
 const uint VALUES = (COLOR ? 3 : 0) + (DEPTH ? 1 : 0);
@@ -100,13 +101,6 @@ void put(uint slot, Gradient gradient) {
         for (uint c = 0; c < 3; c++) d_values[slot * VALUES + c] = gradient.rgb[c];
     }
     if (DEPTH) d_values[slot * VALUES + VALUES - 1] = gradient.depth;
-}
-
-uint slot_of(uint pair) {
-    TileSet set = unpack(tile_sets[pair]);
-    uvec2 at = tile() - set.first;
-    uint t = at.y * set.size.x + at.x;
-    return slots[pair] + (set.mask != 0 ? bitCount(set.mask & (1u << t) - 1) : t);
 }
 
 // Moves a pixel past a splat of unclamped alpha `full`; accumulates the splat's gradient.

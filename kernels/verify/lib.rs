@@ -14,6 +14,7 @@ mod backbone {
     pub mod camera_encoder;
 }
 mod cluster;
+mod features;
 mod gaussians {
     pub mod activate;
     pub mod activate_backward;
@@ -331,10 +332,11 @@ pub fn catalog() -> Vec<Area> {
         render::forward::area(),
         loss::targets::area(),
         loss::gradient::area(),
-        render::backward::rasterize(),
+        render::backward::rasterize::area(),
         render::backward::color(),
         render::backward::project(),
         render::backward::cameras(),
+        features::area(),
         gaussians::activate_backward::area(),
         ops::gelu::area(),
         refine::adam::area(),

@@ -3,7 +3,7 @@
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
 
-const SOURCES: [&str; 17] = [
+const SOURCES: [&str; 18] = [
     "version",
     "status",
     "progress",
@@ -20,6 +20,7 @@ const SOURCES: [&str; 17] = [
     "refine",
     "renderer",
     "gradients",
+    "features",
     "vulkan",
 ];
 

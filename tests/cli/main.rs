@@ -23,6 +23,7 @@ mod protocol;
 mod reconstruct;
 mod refine;
 mod render;
+mod select;
 mod server;
 mod trajectories;
 mod vggt;

@@ -21,6 +21,7 @@ families! {
     attention: "ops/attention",
     backbone: "camera encoding",
     cluster: "cluster",
+    features: "features",
     gaussians: "gaussians/",
     gelu: "ops/gelu",
     heads: "heads/",

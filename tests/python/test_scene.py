@@ -92,6 +92,34 @@ def test_edits_apply_in_order_and_count(scene: zipsplat.Scene) -> None:
             scene.edit(edits)
 
 
+def test_features_are_lifted_and_rendered(scene: zipsplat.Scene) -> None:
+    cameras = [zipsplat.Camera.from_fov(64, 48, 60)] * 2
+    ramp = np.linspace(0, 1, 64 * 48 * 20, dtype=np.float32).reshape(48, 64, 20)
+    constant = np.full((3, 4, 20), 2.5, np.float32)
+    features, weights = scene.lift([constant, constant], cameras)
+    assert features.shape == (len(scene), 20) and weights.shape == (len(scene),)
+    assert np.allclose(features[weights > 0], 2.5, rtol=1e-5) and not features[weights == 0].any()
+    one, half = scene.lift([ramp], cameras[:1]), scene.lift([ramp, ramp * np.nan], cameras)
+    assert all(np.array_equal(a, b) for a, b in zip(one, half)), "NaN does not count"
+    grouped, group_weights = scene.lift([ramp], cameras[:1], group=2)
+    sums = (one[0] * one[1][:, None]).reshape(-1, 2, 20).sum(1)
+    assert np.allclose(group_weights, one[1].reshape(-1, 2).sum(1), rtol=1e-5)
+    assert np.allclose(grouped * group_weights[:, None], sums, rtol=1e-4, atol=1e-4)
+    pictures = scene.render_features(grouped, cameras)
+    assert pictures.shape == (2, 48, 64, 20) and np.array_equal(pictures[0], pictures[1])
+    alpha = scene.render(cameras[0], alpha=True).alpha
+    assert alpha is not None
+    assert np.allclose(scene.render_features(np.ones((len(scene), 1)), cameras[:1])[0, ..., 0], alpha, atol=1e-5)
+    for call, words in [
+        (lambda: scene.lift([ramp], cameras), "2 cameras"),
+        (lambda: scene.lift([ramp, ramp[..., :3]], cameras), "shapes"),
+        (lambda: scene.lift([ramp], cameras[:1], group=7919), "7919"),
+        (lambda: scene.render_features(np.ones((len(scene) - 1, 2)), cameras), "rows"),
+    ]:
+        with pytest.raises(zipsplat.ArgumentError, match=words):
+            call()
+
+
 def test_gsplat_and_torch_parameters_are_copies(scene: zipsplat.Scene) -> None:
     torch = pytest.importorskip("torch")
     params = scene.to_gsplat()

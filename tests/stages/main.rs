@@ -11,6 +11,7 @@ mod depth_scene;
 mod depth_units;
 mod depth_weights;
 mod edit;
+mod features;
 mod flops;
 mod forward;
 mod gradients;

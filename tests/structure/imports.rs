@@ -3,7 +3,7 @@ use crate::source::{Source, files, paths, tokens};
 /// Each uses only those before it; the first four are crates. `error` is `Error` and `Result`. The
 /// crates enforce the rest: only `engine/gpu` uses Vulkan, and of the engine the references use
 /// only `engine/random`.
-const LAYERS: [&str; 13] = [
+const LAYERS: [&str; 14] = [
     "error",
     "gpu",
     "types",
@@ -13,6 +13,7 @@ const LAYERS: [&str; 13] = [
     "stages",
     "weights",
     "perceptual",
+    "features",
     "cameras",
     "reconstruct",
     "depth",

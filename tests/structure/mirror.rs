@@ -5,7 +5,10 @@ use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps of an operation with another name; variants append a word to its name.
-const STEPS: [(&str, &str); 13] = [
+const STEPS: [(&str, &str); 16] = [
+    ("features/draw", "features"),
+    ("features/gather", "features"),
+    ("features/lift", "features"),
     ("loss/dssim", "loss/gradient"),
     ("loss/mask", "loss/gradient"),
     ("loss/moments", "loss/gradient"),

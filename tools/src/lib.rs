@@ -16,6 +16,7 @@ mod explain;
 mod heic;
 mod html;
 mod legacy;
+mod lifted;
 mod masks;
 pub mod metrics;
 mod npy;

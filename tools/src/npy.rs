@@ -1,4 +1,5 @@
-//! NumPy `.npy` arrays, f32 `[height][width]`, little-endian, row-major.
+//! NumPy `.npy` arrays, f32 `[height][width]` or `[height][width][channels]`, little-endian,
+//! row-major.
 
 use std::path::Path;
 use zipsplat::{Error, Result};
@@ -15,9 +16,15 @@ pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
 }
 
 pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
+    let ([height, width], values) = read_array(path, "height, width")?;
+    Ok(([width, height], values))
+}
+
+/// Reads an array of `N` dimensions, which `named` lists.
+pub fn read_array<const N: usize>(path: &Path, named: &str) -> Result<([u32; N], Vec<f32>)> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |found: &str| {
-        let reason = format!("found {found}, expected NumPy's .npy of little-endian f32 [height, width], row by row");
+        let reason = format!("found {found}, expected NumPy's .npy of little-endian f32 [{named}], row by row");
         Error::format(path, None, reason)
     };
     let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| malformed("no .npy"))?;
@@ -31,15 +38,19 @@ pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let shape = header.strip_prefix(START).and_then(|rest| rest.split(')').next());
     let sides: Option<Vec<u32>> =
         shape.map(|shape| shape.split(',').filter_map(|side| side.trim().parse().ok()).collect());
-    let Some([height, width]) = sides.and_then(|sides| <[u32; 2]>::try_from(sides).ok()) else {
+    let Some(shape) = sides.and_then(|sides| <[u32; N]>::try_from(sides).ok()) else {
         return Err(malformed(&header));
     };
     let (values, []) = rest[at + length..].as_chunks::<4>() else { return Err(malformed("a part of a value")) };
     let values: Vec<f32> = values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    if values.len() as u64 != u64::from(width) * u64::from(height) {
-        return Err(malformed(&format!("{} values for {height} x {width}", values.len())));
+    if values.len() as u64 != shape.map(u64::from).iter().product::<u64>() {
+        return Err(malformed(&format!(
+            "{} values for {}",
+            values.len(),
+            shape.map(|side| side.to_string()).join(" x ")
+        )));
     }
-    Ok(([width, height], values))
+    Ok((shape, values))
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ pub const LOG_START: &str = "zipsplat: what COLMAP said";
 /// Bytes searched at each end of a file.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with their author marks. `.splat` has none.
-const MARKS: [(&[u8], &[u8]); 22] = [
+const MARKS: [(&[u8], &[u8]); 23] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
     (b"\x1f\x8b", b"zipsplat"),
@@ -38,6 +38,7 @@ const MARKS: [(&[u8], &[u8]); 22] = [
     (b"", b"\"zipsplat.architecture\""),
     (b"", b"\"zipsplat.depth_architecture\""),
     (b"", b"\"zipsplat.photos\""),
+    (b"", b"\"zipsplat.scene_sha256\""),
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
     (b"views,precision,weights", b"views,"),
     (b"capture,error\n", b"capture,error"),

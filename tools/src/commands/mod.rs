@@ -5,10 +5,12 @@ mod depth;
 mod doctor;
 mod edit;
 mod eval;
+mod lift;
 mod reconstruct;
 mod refine;
 mod render;
 mod scene;
+mod select;
 mod view;
 mod weights;
 
@@ -23,6 +25,8 @@ pub enum Command {
     Depth(depth::Depth),
     Refine(refine::Refine),
     Edit(edit::Edit),
+    Lift(lift::Lift),
+    Select(select::Select),
     Render(render::Render),
     View(view::View),
     Convert(convert::Convert),
@@ -49,6 +53,8 @@ impl Command {
             Command::Depth(command) => command.run(session),
             Command::Refine(command) => command.run(session),
             Command::Edit(command) => command.run(session),
+            Command::Lift(command) => command.run(session),
+            Command::Select(command) => command.run(session),
             Command::Render(command) => command.run(session),
             Command::View(command) => command.run(session),
             Command::Convert(command) => command.run(session),

@@ -1212,6 +1212,52 @@ zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_render_options *options,
                              const struct zs_gradients *gradients);
 
+/******************************************************************************/
+/*  Features: values of any number of channels, held by Gaussians or tokens.  */
+/******************************************************************************/
+
+// Values of a camera's picture, in pixels or in cells of several pixels.
+typedef struct zs_pixel_values {
+    // sizeof(zs_pixel_values).
+    uint32_t struct_size;
+    // Cells per row.
+    uint32_t width;
+    // Rows of cells.
+    uint32_t height;
+    // 0.
+    uint32_t reserved;
+    // height x width x channels. Cells with a NaN do not count.
+    const float *values;
+} zs_pixel_values;
+
+// Lifts pixel values of `count` cameras, in the scene's world, to features: means over all pixels,
+// weighted by the blending weights of `group` consecutive Gaussians, such as 1 or those of a
+// token. `group` divides their number N.
+//
+// `features` gets N / group x channels values, 0 for rows that no pixel shows; `weights`, unless
+// NULL, N / group sums of blending weights in pixels. Both are written only on success.
+zs_status zs_lift_features(const struct zs_renderer *renderer,
+                           const struct zs_scene *scene,
+                           const struct zs_camera *cameras,
+                           const struct zs_pixel_values *values,
+                           size_t count,
+                           size_t channels,
+                           size_t group,
+                           float *features,
+                           float *weights);
+
+// Draws features, N / group x channels values as of zs_lift_features, as pictures of `count`
+// cameras: height x width x channels blended values each, one after the other, 0 where nothing is.
+// `pictures` is written only on success.
+zs_status zs_render_features(const struct zs_renderer *renderer,
+                             const struct zs_scene *scene,
+                             const float *features,
+                             size_t channels,
+                             size_t group,
+                             const struct zs_camera *cameras,
+                             size_t count,
+                             float *pictures);
+
 /*********************************************************/
 /*  The caller's own Vulkan device, images and buffers.  */
 /*********************************************************/

@@ -15,6 +15,7 @@ use std::{
 };
 use zipsplat::{
     Camera, Depth, RenderOptions, RenderOutput, Renderer, Scene,
+    features::FeatureRenderer,
     stages::render::{Differentiator, MAX_SIDE},
 };
 
@@ -25,6 +26,7 @@ pub struct zs_renderer {
     /// Host copy of the scene, unless it is a reconstruction's.
     scene: Mutex<Option<Arc<Scene>>>,
     differentiator: Mutex<Option<Differentiator>>,
+    features: Mutex<Option<FeatureRenderer>>,
 }
 
 impl zs_renderer {
@@ -38,12 +40,21 @@ impl zs_renderer {
     }
 
     pub(super) fn differentiator(&self) -> MutexGuard<'_, Option<Differentiator>> {
-        self.differentiator.lock().unwrap_or_else(|poisoned| {
-            let mut found = poisoned.into_inner();
-            *found = None;
-            found
-        })
+        emptied(&self.differentiator)
     }
+
+    pub(super) fn features(&self) -> MutexGuard<'_, Option<FeatureRenderer>> {
+        emptied(&self.features)
+    }
+}
+
+/// Locks; empties after a panic.
+fn emptied<T>(mutex: &Mutex<Option<T>>) -> MutexGuard<'_, Option<T>> {
+    mutex.lock().unwrap_or_else(|poisoned| {
+        let mut found = poisoned.into_inner();
+        *found = None;
+        found
+    })
 }
 
 /// Depth along the camera's z axis, in world units.
@@ -132,6 +143,7 @@ pub unsafe extern "C" fn zs_renderer_create(
             renderer: Mutex::new(Renderer::new(gpu)),
             scene: Mutex::default(),
             differentiator: Mutex::default(),
+            features: Mutex::default(),
         };
         if let Some(scene) = scene {
             renderer.set(scene.scene.clone())?;

@@ -175,6 +175,15 @@ impl Edit {
 }
 
 impl Scene {
+    /// Returns the `members` that `seeds` reach in steps to one of the nearest `neighbors` centers,
+    /// in order.
+    ///
+    /// # Panics
+    /// If `members` are not as many as the Gaussians, or a seed is out of range.
+    pub fn connected(&self, members: &[bool], seeds: &[usize], neighbors: usize) -> Vec<usize> {
+        selection::connected(self, members, seeds, neighbors)
+    }
+
     /// Returns a copy after `edits`, in order, and each one's effect. `cameras` are in the scene's
     /// world; edits that move the scene move them, too.
     ///

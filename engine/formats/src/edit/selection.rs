@@ -58,6 +58,23 @@ pub(super) fn views(scene: &mut Scene, cameras: &[Camera], count: usize) -> Stri
     select(scene, hold, &format!("in the pictures of fewer than {count} cameras"))
 }
 
+/// Returns the members that `seeds` reach through nearest neighbors that are members, in order.
+pub(super) fn connected(scene: &Scene, members: &[bool], seeds: &[usize], neighbors: usize) -> Vec<usize> {
+    let tree = tree(scene);
+    let mut reached = vec![false; scene.len()];
+    let mut open: Vec<usize> = seeds.iter().copied().filter(|i| members[*i]).collect();
+    open.iter().for_each(|i| reached[*i] = true);
+    while let Some(i) = open.pop() {
+        let near = tree.nearest_neighbor_iter(scene.means[i].map(f64::from)).take(neighbors + 1);
+        for near in near.map(|near| near.data).filter(|near| members[*near]) {
+            if !std::mem::replace(&mut reached[near], true) {
+                open.push(near);
+            }
+        }
+    }
+    (0..scene.len()).filter(|i| reached[*i]).collect()
+}
+
 /// These limits keep the held-out PSNR of refined captures. One of size would drop background.
 const CLEAN_OPACITY: f64 = 0.01;
 /// Relative to a Gaussian's largest standard deviation, which suits near and far ones.

@@ -105,14 +105,19 @@ struct Slots {
     d_values: Tensor,
 }
 
+/// Returns the first slot of each pair, `[pairs + 1]`.
+pub(super) fn slot_starts(rec: &mut Recorder, splats: &Splats) -> Tensor {
+    let starts = rec.tensor::<u32>("slots", splats.pairs + 1);
+    let (tile_sets, indices, pairs) = (splats.tile_sets, splats.indices, splats.pairs as u32);
+    rec.dispatch(TileCounts { tile_sets, indices, tile_counts: starts, pairs }, splats.pairs + 1);
+    exclusive_scan(rec, starts, splats.pairs + 1);
+    starts
+}
+
 impl Backward<'_> {
     fn rasterize(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
         let &Backward { splats, lists, shape, options, capacity, .. } = self;
-        let starts = rec.tensor::<u32>("slots", splats.pairs + 1);
-        let (tile_sets, indices, pairs) = (splats.tile_sets, splats.indices, splats.pairs as u32);
-        rec.dispatch(TileCounts { tile_sets, indices, tile_counts: starts, pairs }, splats.pairs + 1);
-        exclusive_scan(rec, starts, splats.pairs + 1);
-
+        let (tile_sets, starts) = (splats.tile_sets, slot_starts(rec, splats));
         let values = 3 * usize::from(options.rgb) + usize::from(options.depth.is_some());
         let moments = rec.tensor::<[f32; 6]>("moments", capacity);
         let d_values = rec.tensor::<f32>("d_values", capacity * values.max(1));

@@ -4,6 +4,7 @@
 
 mod backward;
 mod differentiable;
+mod features;
 mod flights;
 mod frame;
 mod intersect;
@@ -28,6 +29,7 @@ use project::Splats;
 pub use super::{FrameShape, SceneGradients, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, SplatGradients, record_with_gradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
+pub(crate) use features::{FeatureRows, VECTOR, VECTORS_AT_ONCE, record_lift, record_pictures};
 pub use frame::{Depth, RenderOptions, RenderOutput};
 pub use pack::PixelLayout;
 pub use plan_cache::first_capacity;

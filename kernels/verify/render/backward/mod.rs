@@ -3,12 +3,11 @@
 mod cameras;
 mod color;
 mod project;
-mod rasterize;
+pub(crate) mod rasterize;
 
 pub use cameras::area as cameras;
 pub use color::area as color;
 pub use project::area as project;
-pub use rasterize::area as rasterize;
 
 use crate::{bound::Bounded, trial::Trial};
 use zipsplat::gpu::Tensor;

@@ -8,8 +8,8 @@ use zipsplat_reference::render::{
 const REASON: &str = "running error analysis of blending and of what lies behind each splat, pixel by pixel, then gamma_256 of a tile's \
     sums; pixels where rounding may move an alpha or a transmittance over a threshold have no gradient";
 
-const WIDTH: u32 = 40;
-const HEIGHT: u32 = 23;
+pub(crate) const WIDTH: u32 = 40;
+pub(crate) const HEIGHT: u32 = 23;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
@@ -19,10 +19,10 @@ const FAR_OFF: f32 = 256.0;
 const VALUES: usize = 10;
 
 #[derive(Clone, Copy)]
-struct Splat {
-    place: [f32; 2],
-    conic: [f32; 3],
-    opacity: f32,
+pub(crate) struct Splat {
+    pub place: [f32; 2],
+    pub conic: [f32; 3],
+    pub opacity: f32,
     color: [f32; 3],
     depth: f32,
 }
@@ -36,7 +36,7 @@ struct Problem {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Fault {
+pub(crate) enum Fault {
     Unwritten,
     NothingBehind,
     NoBackground,
@@ -59,7 +59,7 @@ impl Splat {
         if y < -FAR_OFF || y > HEIGHT as f32 + FAR_OFF { y.clamp(0.0, HEIGHT as f32) } else { y }
     }
 
-    fn ellipse(&self) -> Ellipse {
+    pub fn ellipse(&self) -> Ellipse {
         Ellipse {
             place: self.place.map(f64::from),
             ridge: self.ridge().into(),
@@ -71,22 +71,22 @@ impl Splat {
     }
 }
 
-fn tiles() -> [usize; 2] {
+pub(crate) fn tiles() -> [usize; 2] {
     [WIDTH, HEIGHT].map(|side| side.div_ceil(TILE) as usize)
 }
 
-fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
+pub(crate) fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| [x, y])).map(|[x, y]| {
         let tile = (y / TILE) as usize * tiles()[0] + (x / TILE) as usize;
         (tile, [f64::from(x) + 0.5, f64::from(y) + 0.5])
     })
 }
 
-type Share = [Bounded; VALUES];
+pub(crate) type Share = [Bounded; VALUES];
 
 /// Mirrors kernels/render/rasterize_backward.comp on one pixel; `None` if rounding may flip a
 /// threshold.
-fn pixel(
+pub(crate) fn pixel(
     splats: &[Splat],
     [x, y]: [f64; 2],
     frame: [f64; 5],
@@ -274,7 +274,7 @@ impl Values for Problem {
 }
 
 /// 1 to 10 pixels wide.
-fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
+pub(crate) fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
     let mut noise = Noise::new(count as u64 + 7);
     let mut one = |i: usize| {
         let mut uniform = |low, high| noise.uniform(low, high);

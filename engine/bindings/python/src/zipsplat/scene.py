@@ -285,6 +285,77 @@ class Scene:
         edited.edit_counts = list(counts)[: len(pairs)]
         return edited
 
+    def lift(
+        self, values: Sequence[npt.ArrayLike], cameras: Sequence[Camera], *, group: int = 1, device: DeviceLike = None
+    ) -> tuple[Array, Array]:
+        """Lifts pixel values of pictures to features of Gaussians, or of tokens.
+
+        A feature is the mean over all pixels, weighted by the blending weights of its Gaussians.
+
+        Args:
+            values: Per camera [h, w, C] float32, in pixels or larger cells; cells with a NaN do
+                not count.
+            cameras: Cameras in the scene's world.
+            group: Consecutive Gaussians per feature: 1, or those of a token.
+            device: The device, as for Device; None for the scene's own or the best.
+
+        Returns:
+            Features [N / group, C], 0 where no pixel shows any, and weights [N / group] in pixels.
+
+        Example:
+            >>> features, weights = scene.lift(patch_features, capture.cameras)
+            >>> pictures = scene.render_features(features, capture.cameras[:1])  # [1, height, width, C]
+        """
+        arrays = [np.ascontiguousarray(value, np.float32) for value in values]
+        channels = {array.shape[-1] for array in arrays if array.ndim == 3}
+        if len(arrays) != len(cameras) or len(channels) != 1 or any(array.ndim != 3 for array in arrays):
+            shapes = [array.shape for array in arrays]
+            raise ArgumentError(f"values: found shapes {shapes}, expected [h, w, C] for each of {len(cameras)} cameras")
+        given = ffi.new("zs_pixel_values[]", len(arrays))
+        for to, array in zip(given, arrays):
+            to.struct_size, (to.height, to.width) = ffi.sizeof("zs_pixel_values"), array.shape[:2]
+            to.values = ffi.cast("float *", array.ctypes.data)
+        rows = len(self.opacities) // max(group, 1)
+        features, weights = np.zeros((rows, *channels), np.float32), np.zeros(rows, np.float32)
+        views = native_cameras(cameras)
+        sizes = (len(arrays), features.shape[1], positive("group", group))
+        pointers = [ffi.cast("float *", array.ctypes.data) for array in (features, weights)]
+        call("zs_lift_features", self._renderer(device), self._scene, views, given, *sizes, *pointers)
+        return features, weights
+
+    def render_features(
+        self, features: npt.ArrayLike, cameras: Sequence[Camera], *, device: DeviceLike = None
+    ) -> Array:
+        """Renders features as pictures of as many channels, 0 where nothing is.
+
+        Args:
+            features: [N / group, C] float32 of every group of consecutive Gaussians.
+            cameras: Cameras of one size, in the scene's world.
+            device: The device, as for Device; None for the scene's own or the best.
+
+        Returns:
+            [cameras, height, width, C] float32.
+        """
+        rows = np.ascontiguousarray(features, np.float32)
+        sizes = {(camera.height, camera.width) for camera in cameras}
+        if rows.ndim != 2 or len(sizes) != 1:
+            found = f"features of shape {rows.shape}, cameras of sizes {sorted(sizes)}"
+            raise ArgumentError(f"found {found}, expected [N / group, C] and cameras of one size")
+        group = len(self.opacities) // max(len(rows), 1)
+        if group * len(rows) != len(self.opacities):
+            expected = f"a row for each group of {len(self.opacities)} Gaussians"
+            raise ArgumentError(f"features: found {len(rows)} rows, expected {expected}")
+        pictures = np.empty((len(cameras), *sizes.pop(), rows.shape[1]), np.float32)
+        source, target = (ffi.cast("float *", array.ctypes.data) for array in (rows, pictures))
+        views = native_cameras(cameras)
+        counts = (rows.shape[1], group, views, len(views))
+        call("zs_render_features", self._renderer(device), self._scene, source, *counts, target)
+        return pictures
+
+    def _renderer(self, device: DeviceLike) -> Handle:
+        opened_device = opened(self._device if device is None else device)
+        return Handle("renderer", "zs_renderer_create", opened_device._handle, ffi.NULL)
+
     def refine(
         self,
         images: ImagesLike,

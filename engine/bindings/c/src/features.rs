@@ -1,0 +1,130 @@
+//! Features: values of any number of channels, held by Gaussians or tokens.
+
+use super::{
+    camera::zs_camera,
+    pointers::{array, array_mut, borrow, read_array},
+    renderer::zs_renderer,
+    scene::zs_scene,
+    status::{Failure, guard, zs_status},
+};
+use zipsplat::{
+    Camera, Scene,
+    features::{FeatureRenderer, Features, PixelValues},
+};
+
+/// Values of a camera's picture, in pixels or in cells of several pixels.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_pixel_values {
+    /// sizeof(zs_pixel_values).
+    pub struct_size: u32,
+    /// Cells per row.
+    pub width: u32,
+    /// Rows of cells.
+    pub height: u32,
+    /// 0.
+    pub reserved: u32,
+    /// height x width x channels. Cells with a NaN do not count.
+    pub values: *const f32,
+}
+
+versioned!(zs_pixel_values);
+
+/// Lifts pixel values of `count` cameras, in the scene's world, to features: means over all pixels,
+/// weighted by the blending weights of `group` consecutive Gaussians, such as 1 or those of a
+/// token. `group` divides their number N.
+///
+/// `features` gets N / group x channels values, 0 for rows that no pixel shows; `weights`, unless
+/// NULL, N / group sums of blending weights in pixels. Both are written only on success.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_lift_features(
+    renderer: *const zs_renderer,
+    scene: *const zs_scene,
+    cameras: *const zs_camera,
+    values: *const zs_pixel_values,
+    count: usize,
+    channels: usize,
+    group: usize,
+    features: *mut f32,
+    weights: *mut f32,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: the caller's arguments.
+        let (renderer, scene, values) =
+            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, read_array(values, count, "values")?) };
+        // SAFETY: the caller's arguments.
+        let cameras = unsafe { checked(cameras, count) }?;
+        let plane = |(i, given): (usize, &zs_pixel_values)| {
+            let len = (given.width as usize).saturating_mul(given.height as usize).saturating_mul(channels);
+            // SAFETY: the caller's memory, as large as the structure says.
+            unsafe { array(given.values, len, &format!("values {i}")) }
+        };
+        let planes = values.iter().enumerate().map(plane).collect::<Result<Vec<&[f32]>, _>>()?;
+        let picture = |i: usize| {
+            let zs_pixel_values { width, height, .. } = values[i];
+            Ok(PixelValues { width, height, channels, values: planes[i].to_vec() })
+        };
+        let found = with(renderer, |drawing| drawing.lift(&scene.scene, &cameras, group, channels, picture))?;
+        // SAFETY: the caller's memory, as long as documented.
+        unsafe {
+            array_mut(features, found.features.values.len(), "features")?.copy_from_slice(&found.features.values);
+            if !weights.is_null() {
+                array_mut(weights, found.weights.len(), "weights")?.copy_from_slice(&found.weights);
+            }
+        }
+        Ok(())
+    })
+}
+
+/// Draws features, N / group x channels values as of zs_lift_features, as pictures of `count`
+/// cameras: height x width x channels blended values each, one after the other, 0 where nothing is.
+/// `pictures` is written only on success.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_render_features(
+    renderer: *const zs_renderer,
+    scene: *const zs_scene,
+    features: *const f32,
+    channels: usize,
+    group: usize,
+    cameras: *const zs_camera,
+    count: usize,
+    pictures: *mut f32,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: the caller's arguments.
+        let (renderer, scene, cameras) =
+            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, checked(cameras, count)?) };
+        let scene: &Scene = &scene.scene;
+        let len = (scene.len() / group.max(1)).saturating_mul(channels);
+        // SAFETY: the caller's memory, as long as documented.
+        let values = unsafe { array(features, len, "features") }?.to_vec();
+        let features = Features { values, channels, group };
+        let found = with(renderer, |drawing| drawing.draw(scene, &features, &cameras))?;
+        let mut to = pictures;
+        for picture in found {
+            // SAFETY: the caller's memory, as long as documented.
+            unsafe {
+                array_mut(to, picture.values.len(), "pictures")?.copy_from_slice(&picture.values);
+                to = to.add(picture.values.len());
+            }
+        }
+        Ok(())
+    })
+}
+
+/// # Safety
+/// As [`read_array`].
+unsafe fn checked(cameras: *const zs_camera, count: usize) -> Result<Vec<Camera>, Failure> {
+    // SAFETY: the caller's promise.
+    let cameras = unsafe { read_array(cameras, count, "cameras") }?;
+    Ok(cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?)
+}
+
+fn with<T>(
+    renderer: &zs_renderer,
+    run: impl FnOnce(&mut FeatureRenderer) -> zipsplat::Result<T>,
+) -> Result<T, Failure> {
+    let mut features = renderer.features();
+    let features = features.get_or_insert_with(|| FeatureRenderer::new(renderer.lock().device()));
+    Ok(run(features)?)
+}

@@ -1,0 +1,371 @@
+//! Features: values of any number of channels, held by Gaussians or by tokens.
+//!
+//! [`FeatureRenderer::lift`] averages pixel values over photos: a Gaussian's feature is the mean of
+//! all pixels' values, weighted by its blending weights. [`FeatureRenderer::draw`] renders features
+//! as pictures of as many channels. Tokens' features need memory for one row per token instead of
+//! one per Gaussian.
+
+mod selection;
+
+use crate::{
+    Error, Result,
+    gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    stages::{
+        FrameShape, SceneTensors,
+        render::{
+            CameraRows, DeviceScene, FeatureRows, PlanCache, PlanKey, RenderOptions, SceneMemory, VECTOR,
+            VECTORS_AT_ONCE, camera_rows, check_camera, first_capacity, record_lift, record_pictures,
+        },
+    },
+    types::{Camera, Scene},
+};
+use std::{iter::zip, sync::Arc};
+
+/// Bytes of values on the device beside the scene. More channels are processed in parts.
+const PART_BYTES: usize = 256 << 20;
+/// Channels that a pixel blends at once.
+const CHANNELS_AT_ONCE: usize = VECTOR * VECTORS_AT_ONCE;
+
+/// Values of pixels, or of cells of several pixels, `[height, width, channels]`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PixelValues {
+    /// Cells per row.
+    pub width: u32,
+    /// Rows of cells.
+    pub height: u32,
+    /// Values per cell.
+    pub channels: usize,
+    /// All values.
+    pub values: Vec<f32>,
+}
+
+/// Values of Gaussians or tokens, `[rows, channels]`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Features {
+    /// All values.
+    pub values: Vec<f32>,
+    /// Values per row.
+    pub channels: usize,
+    /// Consecutive Gaussians of a row: 1, or those of a token.
+    pub group: usize,
+}
+
+/// Features with the evidence for them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Lifted {
+    /// Means over all photos' pixels; 0 for rows that no pixel shows.
+    pub features: Features,
+    /// Sum of each row's blending weights, in pixels.
+    pub weights: Vec<f32>,
+}
+
+impl Features {
+    /// Checks the shape for a scene.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if it has another number of rows.
+    pub fn validate(&self, scene: &Scene) -> Result<()> {
+        let rows = rows(scene, self.group)?.count;
+        let expected = rows * self.channels;
+        if self.channels == 0 || self.values.len() != expected {
+            let found = format!("{} values of {} channels", self.values.len(), self.channels);
+            let expected = format!("at least one channel for each of {rows} rows of {} Gaussians", self.group);
+            return Err(Error::argument("features", found, expected));
+        }
+        Ok(())
+    }
+}
+
+/// Lifts and draws features on one device.
+pub struct FeatureRenderer {
+    arena: Arena,
+    scene: Option<SceneMemory>,
+    plans: PlanCache<Job, Planned>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+struct Job {
+    group: usize,
+    antialiased: bool,
+    near: f32,
+    /// Vectors of a part, and the cells to lift from; pictures have none.
+    vectors: usize,
+    cells: Option<[u32; 2]>,
+}
+
+struct Planned {
+    run: Run,
+    camera: Tensor,
+    /// To lift from.
+    values: Option<Tensor>,
+    pictures: Vec<Tensor>,
+    status: Tensor,
+}
+
+/// Device memory of a part's features.
+struct Part {
+    resident: Arc<Resident>,
+    /// One, or one per pass of drawing.
+    features: Vec<Tensor>,
+    totals: Tensor,
+}
+
+impl FeatureRenderer {
+    /// Creates its own arena.
+    pub fn new(device: &Device) -> Self {
+        Self { arena: Arena::new(device), scene: None, plans: PlanCache::new(device.limits(), 0) }
+    }
+
+    /// Lifts pixel values of `cameras`' pictures to every `group` consecutive Gaussians of a scene.
+    /// `values` returns those of a camera, of any size with the picture's shape, and is called
+    /// once per part of the channels. Pixels with a NaN do not count. The same inputs give the
+    /// same bits.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for invalid input, those of `values`, and [`Error::Memory`].
+    pub fn lift(
+        &mut self,
+        scene: &Scene,
+        cameras: &[Camera],
+        group: usize,
+        channels: usize,
+        mut values: impl FnMut(usize) -> Result<PixelValues>,
+    ) -> Result<Lifted> {
+        let rows = rows(scene, group)?;
+        let features = Features { values: vec![0.0; rows.count * channels], channels, group };
+        let mut lifted = Lifted { features, weights: vec![0.0; rows.count] };
+        lifted.features.validate(scene)?;
+        check(cameras)?;
+        if scene.is_empty() || cameras.is_empty() {
+            return Ok(lifted);
+        }
+        let _claim = self.arena.claim().expect("nobody else knows it");
+        let device_scene = self.load(scene)?;
+        let vectors = channels.div_ceil(VECTOR).min(self.vectors_at_once(rows.count + self.plans.capacity));
+        for first in (0..channels).step_by(VECTOR * vectors) {
+            let width = (VECTOR * vectors).min(channels - first);
+            let vectors = width.div_ceil(VECTOR);
+            let part = self.part(rows.count, &[vectors])?;
+            for (i, camera) in cameras.iter().enumerate() {
+                let values = values(i)?;
+                let cells = check_values(&values, i, channels)?;
+                let padded = padded(&values.values, channels, first..first + width, VECTOR * vectors, is_counted);
+                let job = Job { vectors, cells: Some(cells), ..job(scene, group) };
+                self.add(&device_scene, camera, job, &part, Some(&padded), |_, _| Ok(()))?;
+            }
+            let sums: Vec<f32> = part.resident.read(part.features[0])?;
+            lifted.weights = part.resident.read(part.totals)?;
+            let rows = zip(sums.chunks_exact(VECTOR * vectors), &lifted.weights);
+            for ((sums, weight), row) in zip(rows, lifted.features.values.chunks_exact_mut(channels)) {
+                let mean = |sum: f32| if *weight > 0.0 { sum / weight } else { 0.0 };
+                zip(&mut row[first..first + width], sums).for_each(|(to, sum)| *to = mean(*sum));
+            }
+        }
+        Ok(lifted)
+    }
+
+    /// Draws features as pictures of the same channels, 0 where nothing is.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for invalid input, and [`Error::Memory`].
+    pub fn draw(&mut self, scene: &Scene, features: &Features, cameras: &[Camera]) -> Result<Vec<PixelValues>> {
+        features.validate(scene)?;
+        check(cameras)?;
+        let (channels, group) = (features.channels, features.group);
+        let rows = rows(scene, group)?;
+        let picture = |camera: &Camera| {
+            let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+            let values = vec![0.0; width as usize * height as usize * channels];
+            PixelValues { width, height, channels, values }
+        };
+        let mut pictures: Vec<PixelValues> = cameras.iter().map(picture).collect();
+        if scene.is_empty() {
+            return Ok(pictures);
+        }
+        let _claim = self.arena.claim().expect("nobody else knows it");
+        let device_scene = self.load(scene)?;
+        let pixels = pictures.iter().map(|picture| picture.values.len() / channels).max().unwrap_or(0);
+        let passes = (self.vectors_at_once(rows.count + pixels) / VECTORS_AT_ONCE).max(1);
+        for first in (0..channels).step_by(CHANNELS_AT_ONCE * passes) {
+            let passes = passes.min((channels - first).div_ceil(CHANNELS_AT_ONCE));
+            let part = self.part(rows.count, &vec![VECTORS_AT_ONCE; passes])?;
+            let range = |pass: usize| {
+                let first = first + pass * CHANNELS_AT_ONCE;
+                first..(first + CHANNELS_AT_ONCE).min(channels)
+            };
+            for (pass, tensor) in part.features.iter().enumerate() {
+                let values = padded(&features.values, channels, range(pass), CHANNELS_AT_ONCE, |_| true);
+                part.resident.write(*tensor, &values)?;
+            }
+            for (camera, picture) in zip(cameras, &mut pictures) {
+                let job = Job { vectors: VECTORS_AT_ONCE * passes, cells: None, ..job(scene, group) };
+                self.add(&device_scene, camera, job, &part, None, |run, drawn| {
+                    for (pass, tensor) in drawn.iter().enumerate() {
+                        let values: Vec<f32> = run.read(*tensor)?;
+                        let pixels =
+                            zip(values.chunks_exact(CHANNELS_AT_ONCE), picture.values.chunks_exact_mut(channels));
+                        pixels.for_each(|(from, to)| to[range(pass)].copy_from_slice(&from[..range(pass).len()]));
+                    }
+                    Ok(())
+                })?;
+            }
+        }
+        Ok(pictures)
+    }
+
+    /// Returns zeroed memory. Plans belong to one.
+    fn part(&mut self, rows: usize, vectors: &[usize]) -> Result<Part> {
+        self.plans.clear();
+        Part::new(self.arena.device(), rows, vectors)
+    }
+
+    fn vectors_at_once(&self, rows: usize) -> usize {
+        (PART_BYTES / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)
+    }
+
+    fn load(&mut self, scene: &Scene) -> Result<DeviceScene> {
+        let (len, degree) = (scene.len(), scene.sh_degree);
+        self.plans = PlanCache::new(self.arena.device().limits(), self.plans.capacity.max(first_capacity(len)));
+        let fits = |memory: &SceneMemory| {
+            (memory.tensors().len, memory.tensors().sh_degree) == (len, degree) && memory.is_free()
+        };
+        let mut memory = match self.scene.take().filter(fits) {
+            Some(memory) => memory,
+            None => {
+                let mut layout = ResidentLayout::new(self.arena.device().limits());
+                let tensors = SceneTensors::lay_out(&mut layout, len, degree);
+                SceneMemory::new(self.arena.device(), &layout, tensors)?
+            }
+        };
+        let scene = memory.write(scene)?;
+        self.scene = Some(memory);
+        Ok(scene)
+    }
+
+    /// Runs a job of one camera until its intersections fit.
+    fn add(
+        &mut self,
+        scene: &DeviceScene,
+        camera: &Camera,
+        job: Job,
+        part: &Part,
+        values: Option<&[f32]>,
+        read: impl FnOnce(&Run, &[Tensor]) -> Result<()>,
+    ) -> Result<()> {
+        let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
+        let key = PlanKey { shape, backward: job.cells.is_some(), options: job };
+        loop {
+            let plan = self.plans.get(key, |capacity| Planned::new(&self.arena, scene, shape, job, part, capacity))?;
+            plan.run.write(plan.camera, &[camera_rows(camera)])?;
+            if let Some((tensor, values)) = plan.values.zip(values) {
+                plan.run.write(tensor, values)?;
+            }
+            plan.run.execute()?;
+            let status: Vec<u32> = plan.run.read(plan.status)?;
+            let needed = if status[2] == 0 { status[1] as usize } else { 1 << 32 };
+            if let Some(plan) = self.plans.fitting(needed)? {
+                return read(&plan.run, &plan.pictures);
+            }
+        }
+    }
+}
+
+impl Planned {
+    fn new(
+        arena: &Arena,
+        scene: &DeviceScene,
+        shape: FrameShape,
+        job: Job,
+        part: &Part,
+        capacity: usize,
+    ) -> Result<Self> {
+        let mut rec = Recorder::new(arena.device().limits());
+        let camera = rec.input::<CameraRows>("cameras", 1);
+        let options = RenderOptions {
+            rgb: false,
+            near: Some(job.near),
+            antialiased: Some(job.antialiased),
+            ..RenderOptions::default()
+        };
+        let tensors = scene.tensors();
+        let (values, pictures, status) = match job.cells {
+            Some(cells) => {
+                let count = cells[0] as usize * cells[1] as usize * job.vectors;
+                let values = rec.input::<[f32; VECTOR]>("values", count);
+                let rows = FeatureRows { count: tensors.len.div_ceil(job.group), group: job.group };
+                let into = (rows, part.features[0], part.totals);
+                let values_of = (values, cells, job.vectors);
+                let status = record_lift(&mut rec, tensors, camera, shape, &options, capacity, values_of, into);
+                (Some(values), Vec::new(), status)
+            }
+            None => {
+                let from = (&part.features[..], job.group);
+                let (pictures, status) = record_pictures(&mut rec, tensors, camera, shape, &options, capacity, from);
+                (None, pictures, status)
+            }
+        };
+        let run = Run::in_arena(arena, 0, rec.finish()?, [scene.resident().clone(), part.resident.clone()])?;
+        Ok(Self { run, camera, values, pictures, status })
+    }
+}
+
+impl Part {
+    fn new(device: &Device, rows: usize, vectors: &[usize]) -> Result<Self> {
+        let mut layout = ResidentLayout::new(device.limits());
+        let features = vectors.iter().map(|vectors| layout.add::<[f32; VECTOR]>(rows * vectors)).collect();
+        let totals = layout.add::<f32>(rows);
+        let part = Self { resident: Arc::new(Resident::new(device, &layout)?), features, totals };
+        let zero = |tensor: &Tensor| part.resident.write(*tensor, &vec![0u8; tensor.bytes() as usize]);
+        part.features.iter().chain([&part.totals]).try_for_each(zero)?;
+        Ok(part)
+    }
+}
+
+fn rows(scene: &Scene, group: usize) -> Result<FeatureRows> {
+    if group == 0 || !scene.len().is_multiple_of(group) {
+        let expected = format!("a divisor of the scene's {} Gaussians", scene.len());
+        return Err(Error::argument("Gaussians per feature", group, expected));
+    }
+    Ok(FeatureRows { count: scene.len() / group, group })
+}
+
+fn job(scene: &Scene, group: usize) -> Job {
+    Job { group, antialiased: scene.antialiased, near: scene.near(), vectors: 0, cells: None }
+}
+
+fn check(cameras: &[Camera]) -> Result<()> {
+    cameras.iter().enumerate().try_for_each(|(i, camera)| check_camera(i, camera))
+}
+
+fn check_values(values: &PixelValues, i: usize, channels: usize) -> Result<[u32; 2]> {
+    let PixelValues { width, height, .. } = *values;
+    let expected = width as usize * height as usize * channels;
+    if expected == 0 || values.channels != channels || values.values.len() != expected {
+        let found = format!("{} as {width} x {height} of {} channels", values.values.len(), values.channels);
+        return Err(Error::argument(format!("values of picture {i}"), found, format!("{channels} channels per pixel")));
+    }
+    Ok([width, height])
+}
+
+fn is_counted(row: &[f32]) -> bool {
+    !row.iter().any(|value| value.is_nan())
+}
+
+/// Returns columns of rows padded with zeros, or with NaN if the whole row fails `is_valid`.
+fn padded(
+    values: &[f32],
+    channels: usize,
+    columns: std::ops::Range<usize>,
+    width: usize,
+    is_valid: impl Fn(&[f32]) -> bool,
+) -> Vec<f32> {
+    let mut padded = vec![0.0; values.len() / channels * width];
+    for (from, to) in zip(values.chunks_exact(channels), padded.chunks_exact_mut(width)) {
+        if is_valid(from) {
+            to[..columns.len()].copy_from_slice(&from[columns.clone()]);
+        } else {
+            to.fill(f32::NAN);
+        }
+    }
+    padded
+}

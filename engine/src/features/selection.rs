@@ -1,0 +1,48 @@
+//! Selections of Gaussians by lifted values.
+
+use super::{Features, Lifted};
+use crate::{Error, Result, types::Scene};
+use std::iter::zip;
+
+/// Neighbors through which a selection spreads.
+const NEIGHBORS: usize = 8;
+
+impl Lifted {
+    /// Returns the Gaussians whose values of one channel are at least `least` and whose weight is
+    /// at least `pixels`, such as those inside a lifted mask.
+    pub fn at_least(&self, channel: usize, least: f32, pixels: f32) -> Vec<usize> {
+        let Features { values, channels, group } = &self.features;
+        let rows = zip(values.chunks_exact(*channels), &self.weights).enumerate();
+        let rows = rows.filter(|(_, (row, weight))| row[channel] >= least && **weight >= pixels);
+        rows.flat_map(|(row, _)| row * group..(row + 1) * group).collect()
+    }
+
+    /// Returns the Gaussians that belong to `seeds`: their features have at least this cosine
+    /// similarity with the seeds' mean, and nearest neighbors of the same kind connect them with
+    /// a seed.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if the features are another scene's, or there are no seeds with features.
+    pub fn select(&self, scene: &Scene, seeds: &[usize], least: f32) -> Result<Vec<usize>> {
+        self.features.validate(scene)?;
+        let Features { values, channels, group } = &self.features;
+        let row = |i: usize| &values[i / group * channels..][..*channels];
+        let dot = |a: &[f32], b: &[f32]| zip(a, b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+        let mut mean = vec![0.0; *channels];
+        for (i, length) in seeds.iter().map(|i| (*i, dot(row(*i), row(*i)).sqrt())).filter(|(_, length)| *length > 0.0)
+        {
+            zip(&mut mean, row(i)).for_each(|(sum, value)| *sum += value / length as f32);
+        }
+        let length = dot(&mean, &mean).sqrt();
+        if length == 0.0 {
+            return Err(Error::argument(
+                "seeds",
+                format!("{} without features", seeds.len()),
+                "Gaussians that pixels show",
+            ));
+        }
+        let similar = |i: usize| dot(row(i), &mean) >= f64::from(least) * length * dot(row(i), row(i)).sqrt();
+        let members: Vec<bool> = (0..scene.len()).map(|i| self.weights[i / group] > 0.0 && similar(i)).collect();
+        Ok(scene.connected(&members, seeds, NEIGHBORS))
+    }
+}

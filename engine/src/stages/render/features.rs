@@ -1,0 +1,129 @@
+//! Values of any number of channels: lifted from pixels to Gaussians or tokens, and drawn.
+
+use super::{FrameShape, RenderOptions, SceneTensors, backward::slot_starts, intersect, project};
+use crate::{
+    gpu::{Recorder, Tensor},
+    kernels::{
+        features::{Draw, Gather, Lift},
+        limits::TILE,
+    },
+};
+
+/// Channels per vector.
+pub(crate) const VECTOR: usize = 4;
+/// Vectors that a pixel blends at once: GPUs hold them in registers.
+pub(crate) const VECTORS_AT_ONCE: usize = 4;
+const GPU_PIXELS: u32 = 64;
+
+/// Rows of values, each of a number of consecutive Gaussians.
+#[derive(Clone, Copy)]
+pub(crate) struct FeatureRows {
+    pub count: usize,
+    pub group: usize,
+}
+
+/// Records the lifting of one camera's values, `[cells y, cells x, vectors, 4]`. Accumulates
+/// sums of weighted values, `[rows, vectors, 4]`, and of weights, `[rows]`. Returns the status of
+/// [`RenderOutputs`](super::RenderOutputs); exceeded capacity accumulates nothing.
+#[expect(clippy::too_many_arguments)]
+pub(crate) fn record_lift(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    camera: Tensor,
+    shape: FrameShape,
+    options: &RenderOptions,
+    capacity: usize,
+    (values, cells, vectors): (Tensor, [u32; 2], usize),
+    (rows, lifted, row_totals): (FeatureRows, Tensor, Tensor),
+) -> Tensor {
+    rec.scope("lift", |rec| {
+        let splats = project::record(rec, scene, camera, shape, options);
+        let lists = intersect::record(rec, &splats, shape, capacity);
+        let slots = slot_starts(rec, &splats);
+        let sums = rec.tensor::<[f32; VECTOR]>("sums", capacity * vectors);
+        let totals = rec.tensor::<f32>("totals", capacity);
+        let lanes = rec.limits().subgroup_size;
+        let kernel = Lift {
+            pair_indices: lists.pair_indices,
+            tile_offsets: lists.tile_offsets,
+            tile_sets: splats.tile_sets,
+            slots,
+            xy_opacities: splats.xy_opacities,
+            conics: splats.conics,
+            values,
+            sums,
+            totals,
+            size: [shape.width, shape.height],
+            grid: shape.grid(),
+            cells,
+            first_tile_row: 0,
+            vectors: vectors as u32,
+            capacity: capacity as u32,
+            runs: TILE * TILE / lanes,
+        };
+        let [x, y] = shape.grid();
+        let flops = 2 * (capacity * VECTOR * vectors) as u64 * u64::from(TILE * TILE);
+        rec.dispatch_groups(kernel, [x, y, (vectors as u32).div_ceil(lanes)]).flops(flops);
+        let kernel = Gather {
+            slots,
+            status: lists.status,
+            sums,
+            totals,
+            lifted,
+            row_totals,
+            gaussians: scene.len as u32,
+            group: rows.group as u32,
+            rows: rows.count as u32,
+            vectors: vectors as u32,
+        };
+        rec.dispatch(kernel, rows.count * vectors);
+        rec.output(lists.status);
+        lists.status
+    })
+}
+
+/// Records pictures of one camera, a tensor `[height, width, VECTORS_AT_ONCE, 4]` for each of
+/// `features`, `[rows, VECTORS_AT_ONCE, 4]`. Returns them and the status.
+pub(crate) fn record_pictures(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    camera: Tensor,
+    shape: FrameShape,
+    options: &RenderOptions,
+    capacity: usize,
+    (features, group): (&[Tensor], usize),
+) -> (Vec<Tensor>, Tensor) {
+    rec.scope("features", |rec| {
+        let splats = project::record(rec, scene, camera, shape, options);
+        let lists = intersect::record(rec, &splats, shape, capacity);
+        let lanes = rec.limits().subgroup_size;
+        let runs = if rec.limits().cpu { TILE * TILE / lanes } else { (GPU_PIXELS / lanes).max(1) };
+        let [x, y] = shape.grid();
+        let groups = [x * (TILE * TILE / (lanes * runs)), y, 1];
+        let pixels = shape.width as usize * shape.height as usize;
+        let flops = 2 * (capacity * VECTOR * VECTORS_AT_ONCE) as u64 * u64::from(TILE * TILE);
+        let draw = |features: &Tensor| {
+            let pictures = rec.tensor::<[f32; VECTOR]>("pictures", pixels * VECTORS_AT_ONCE);
+            let kernel = Draw {
+                pair_indices: lists.pair_indices,
+                tile_offsets: lists.tile_offsets,
+                xy_opacities: splats.xy_opacities,
+                conics: splats.conics,
+                features: *features,
+                pictures,
+                size: [shape.width, shape.height],
+                grid: [x, y],
+                first_tile_row: 0,
+                group: group as u32,
+                runs,
+                vectors: VECTORS_AT_ONCE as u32,
+            };
+            rec.dispatch_groups(kernel, groups).flops(flops);
+            rec.output(pictures);
+            pictures
+        };
+        let pictures = features.iter().map(draw).collect();
+        rec.output(lists.status);
+        (pictures, lists.status)
+    })
+}

@@ -1,0 +1,88 @@
+use crate::Folder;
+use zipsplat::types::{Scene, write_ply};
+use zipsplat_tests::scenes;
+
+const SIZE: u32 = 64;
+
+/// Two objects of 100 Gaussians, left and right, in front of two cameras.
+fn objects(folder: &Folder) -> Scene {
+    let mut scene = scenes::random_scene(200, 0, 0.2);
+    for (i, mean) in scene.means.iter_mut().enumerate() {
+        let side = if i < 100 { -1.0 } else { 1.0 };
+        *mean = [side + 0.4 * (i % 10) as f32 / 10.0 - 0.2, 0.5 * (i / 10 % 10) as f32 / 10.0 - 0.25, 4.0];
+        (scene.scales[i], scene.opacities[i]) = ([0.05; 3], 0.5);
+    }
+    write_ply(&scene, folder.path("scene.ply")).expect("a scene can be written");
+    let frame = |name: &str, x: f64| {
+        format!(
+            r#"{{"file_path": "{name}.png", "transform_matrix": [[1, 0, 0, {x}], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]}}"#
+        )
+    };
+    let lens = format!(r#""fl_x": {SIZE}, "fl_y": {SIZE}, "cx": 32, "cy": 32, "w": {SIZE}, "h": {SIZE}"#);
+    let cameras = format!(r#"{{{lens}, "frames": [{}, {}]}}"#, frame("a", 0.0), frame("b", 0.2));
+    std::fs::write(folder.path("cameras.json"), cameras).expect("a file");
+    scene
+}
+
+/// A picture whose left part has one value, and the rest another.
+fn picture(folder: &Folder, name: &str, [left, right]: [u8; 2]) {
+    let path = folder.path(name);
+    std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+    let value = |x, _| image::Luma([if x < SIZE / 2 { left } else { right }]);
+    image::GrayImage::from_fn(SIZE, SIZE, value).save(path).expect("a picture can be written");
+}
+
+#[test]
+fn masks_and_clicks_select_an_object() {
+    let folder = Folder::new();
+    let scene = objects(&folder);
+    picture(&folder, "masks/a.png", [255, 0]);
+    picture(&folder, "labels/a.png", [2, 1]);
+    picture(&folder, "labels/b.png", [2, 1]);
+    let selected = |words: &str| {
+        let json =
+            folder.run(&format!("select @/scene.ply {words} --cameras @/cameras.json -o @/out.ply --json")).json();
+        assert_eq!((&json["selected"], &json["input_gaussians"]), (&100.into(), &200.into()), "{words}");
+        Scene::open(folder.path("out.ply")).expect("a scene")
+    };
+    assert_eq!(selected("--masks @/masks").means, scene.means[..100]);
+    assert_eq!(selected("--masks @/masks --remove").means, scene.means[100..]);
+    let lift = "lift @/scene.ply @/labels --labels 3 --cameras @/cameras.json -o @/labels.safetensors --json";
+    let json = folder.run(lift).json();
+    assert_eq!((&json["rows"], &json["channels"], &json["photos"]), (&200.into(), &3.into(), &2.into()));
+    let features = "--features @/labels.safetensors";
+    assert_eq!(selected(&format!("--at 16,32 --view b.png {features}")).means, scene.means[..100]);
+    assert_eq!(selected(&format!("--at 48,32 --view a.png {features}")).means, scene.means[100..]);
+    assert_eq!(selected(&format!("--masks @/masks {features} --threshold 0.9")).means, scene.means[..100]);
+}
+
+#[test]
+fn invalid_selections_and_values_name_themselves() {
+    let folder = Folder::new();
+    let scene = objects(&folder);
+    picture(&folder, "masks/a.png", [255, 0]);
+    picture(&folder, "empty/c.png", [255, 0]);
+    let lift = "--cameras @/cameras.json -o @/f.safetensors";
+    folder.run(&format!("lift @/scene.ply @/masks {lift}")).success();
+    let select = "--cameras @/cameras.json -o @/out.ply";
+    write_ply(&Scene { opacities: vec![0.4; 200], ..scene }, folder.path("other.ply")).expect("a scene");
+    for (line, code, words) in [
+        (format!("lift @/scene.ply @/empty {lift}"), 3, &["empty", "no values", "NAME.npy"][..]),
+        (format!("lift @/scene.ply @/masks {lift} --gaussians-per-token 7"), 3, &["Gaussians per feature", "7", "200"]),
+        (format!("select @/scene.ply {select}"), 3, &["selection", "--masks", "--at"]),
+        (
+            format!("select @/scene.ply --at 70,2 --view a.png --features @/f.safetensors {select}"),
+            3,
+            &["--at", "70,2", "64 x 64"],
+        ),
+        (
+            format!("select @/scene.ply --at 1,1 --view a.png --features @/f.safetensors {select}"),
+            3,
+            &["--at", "no Gaussian at 1,1"],
+        ),
+        (format!("select @/other.ply --masks @/masks --features @/f.safetensors {select}"), 3, &["features of scene"]),
+    ] {
+        folder.run(&line).fails(code, words);
+        assert!(!folder.path("out.ply").exists(), "{line}");
+    }
+}

@@ -1,0 +1,82 @@
+use crate::{
+    lifted::{self, ValueFiles, read_values},
+    options::SceneInput,
+    outputs::{Overwrite, size_of},
+    session::Session,
+    table::{bytes, counted},
+};
+use clap::Args;
+use serde_json::json;
+use std::path::PathBuf;
+use zipsplat::{Result, features::FeatureRenderer, types::read_world};
+
+/// Lift values of photos' pixels to Gaussians: features, masks or labels
+///
+/// A Gaussian gets the mean of all pixels' values, weighted by its blending weights. Writes
+/// safetensors: features [rows, channels], weights [rows] in pixels, and the scene's hash.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat lift scene.ply features/ --cameras transforms.json -o features.safetensors
+  zipsplat lift scene.ply labels/ --labels 21 --cameras transforms.json -o labels.safetensors")]
+pub struct Lift {
+    /// Scene (PLY, SPZ, SOG, .splat or glTF)
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// Folder with NAME.npy, f32 [height, width, channels] of any size, or NAME.png, a mask, for
+    /// photos NAME; a NaN does not count
+    #[arg(value_name = "VALUES")]
+    values: PathBuf,
+    /// Cameras of the photos: transforms.json or a COLMAP model's folder
+    #[arg(long, value_name = "PATH")]
+    cameras: PathBuf,
+    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
+    /// cameras' world]
+    #[arg(long, value_name = "PHOTO")]
+    relative_to: Option<PathBuf>,
+    /// PNG pictures hold labels from 0 to N - 1, a channel each; other values do not count
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    labels: Option<u8>,
+    /// Consecutive Gaussians per feature: 1, or those of a token
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    gaussians_per_token: usize,
+    /// File to write: .safetensors
+    #[arg(long, short, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
+    input: SceneInput,
+}
+
+impl Lift {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        self.overwrite.check_file(&self.output)?;
+        let (scene, _) = self.input.read(session, &self.scene)?;
+        let world = read_world(&self.scene)?;
+        let (files, notes) =
+            ValueFiles::find(&self.values, &self.cameras, self.relative_to.as_deref(), world.as_ref())?;
+        session.notes(notes);
+        let labels = self.labels.map(usize::from);
+        let channels = read_values(&files.0[0].0, labels)?.channels;
+        let device = session.device()?;
+        let (lifted, _) = session.stage("lift", |_| {
+            let read = |i: usize| read_values(&files.0[i].0, labels);
+            FeatureRenderer::new(&device).lift(&scene, &files.cameras(), self.gaussians_per_token, channels, read)
+        })?;
+        lifted::save(&self.output, &lifted, &scene)?;
+        let (rows, written) = (lifted.weights.len(), size_of(&self.output)?);
+        let seen = lifted.weights.iter().filter(|weight| **weight > 0.0).count();
+        let json = json!({
+            "output": self.output, "rows": rows, "seen": seen, "channels": channels, "photos": files.0.len(),
+            "bytes": written,
+        });
+        let text = format!(
+            "{}: {} of {channels} channels from {}, {seen} seen, {}",
+            self.output.display(),
+            counted(rows, "feature"),
+            counted(files.0.len(), "photo"),
+            bytes(written)
+        );
+        session.report(&json, text)
+    }
+}

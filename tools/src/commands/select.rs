@@ -1,0 +1,166 @@
+use crate::{
+    lifted::{self, ValueFiles, read_values},
+    options::SceneInput,
+    outputs::{self, Overwrite},
+    session::Session,
+    table::counted,
+};
+use clap::Args;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Camera, Error, Result, SaveOptions, Scene,
+    features::{FeatureRenderer, Lifted, PixelValues},
+    types::{World, poses::Capture, read_world},
+};
+
+/// Least mean of a mask's values, and pixels of weight, of a Gaussian inside.
+const INSIDE: f32 = 0.5;
+const LEAST_PIXELS: f32 = 0.5;
+/// Least weight at a pixel of a Gaussian chosen there, relative to the largest.
+const CHOSEN: f32 = 0.5;
+
+/// Select Gaussians by masks or by a pixel, and keep or remove them
+///
+/// Masks alone choose the Gaussians that most of their visible pixels show inside. With --features,
+/// of `lift`, the selection spreads from those, or from a pixel's, to neighbors with similar
+/// features.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat select scene.ply --masks masks/ --cameras transforms.json -o object.ply
+  zipsplat select scene.ply --at 320,240 --view 0042.jpg --cameras transforms.json \\
+      --features features.safetensors --remove -o rest.ply")]
+pub struct Select {
+    /// Scene (PLY, SPZ, SOG, .splat or glTF)
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// Folder with a mask NAME.png for photos NAME: white is inside
+    #[arg(long, value_name = "DIR", conflicts_with = "at")]
+    masks: Option<PathBuf>,
+    /// Pixel of a photo
+    #[arg(long, value_name = "X,Y", value_parser = parse_pixel, requires = "view", requires = "features")]
+    at: Option<[u32; 2]>,
+    /// Photo of the pixel
+    #[arg(long, value_name = "PHOTO", requires = "at")]
+    view: Option<PathBuf>,
+    /// Cameras of the photos: transforms.json or a COLMAP model's folder
+    #[arg(long, value_name = "PATH")]
+    cameras: PathBuf,
+    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
+    /// cameras' world]
+    #[arg(long, value_name = "PHOTO")]
+    relative_to: Option<PathBuf>,
+    /// Features of the scene, of `lift`
+    #[arg(long, value_name = "FILE")]
+    features: Option<PathBuf>,
+    /// Least cosine similarity of features
+    #[arg(long, value_name = "T", default_value_t = 0.8, requires = "features")]
+    threshold: f32,
+    /// Write the scene without the selection
+    #[arg(long)]
+    remove: bool,
+    /// Scene to write: .ply, .spz, .sog, .splat, .glb or .gltf
+    #[arg(long, short, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
+    input: SceneInput,
+}
+
+fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
+    let numbers: Option<Vec<u32>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| format!("found {text}, expected X,Y in pixels"))
+}
+
+impl Select {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        self.overwrite.check_scene(&self.output)?;
+        let (scene, _) = self.input.read(session, &self.scene)?;
+        let world = read_world(&self.scene)?;
+        let features = self.features.as_ref().map(|path| lifted::open(path, &scene)).transpose()?;
+        let seeds = match (&self.masks, self.at) {
+            (Some(folder), _) => self.inside(session, folder, &scene, world.as_ref())?,
+            (None, Some(at)) => self.behind(session, at, &scene, world.as_ref())?,
+            (None, None) => return Err(Error::argument("selection", "none", "--masks DIR, or --at X,Y")),
+        };
+        let selected = match &features {
+            Some(features) => features.select(&scene, &seeds, self.threshold)?,
+            None => seeds,
+        };
+        let mut chosen = vec![!self.remove; scene.len()];
+        let is_selected: std::collections::HashSet<usize> = selected.iter().copied().collect();
+        (0..scene.len()).for_each(|i| chosen[i] = is_selected.contains(&i) != self.remove);
+        let kept: Vec<usize> = (0..scene.len()).filter(|i| chosen[*i]).collect();
+        if kept.is_empty() {
+            let expected = "one that leaves Gaussians";
+            return Err(Error::argument("selection", format!("{} of {}", selected.len(), scene.len()), expected));
+        }
+        let mut result = scene.clone();
+        result.keep(&kept);
+        session.notes(outputs::save_scene(&self.output, &result, &SaveOptions::default(), world.as_ref())?);
+        let json = json!({
+            "output": self.output, "selected": selected.len(), "input_gaussians": scene.len(), "gaussians": kept.len(),
+        });
+        let text = format!(
+            "{}: {}, {} of {} selected",
+            self.output.display(),
+            counted(kept.len(), "Gaussian"),
+            selected.len(),
+            scene.len()
+        );
+        session.report(&json, text)
+    }
+
+    fn inside(
+        &self,
+        session: &mut Session<'_>,
+        folder: &Path,
+        scene: &Scene,
+        world: Option<&World>,
+    ) -> Result<Vec<usize>> {
+        let (files, notes) = ValueFiles::find(folder, &self.cameras, self.relative_to.as_deref(), world)?;
+        session.notes(notes);
+        let read = |i: usize| read_values(&files.0[i].0, None);
+        Ok(lift(session, scene, &files.cameras(), read)?.at_least(0, INSIDE, LEAST_PIXELS))
+    }
+
+    /// Returns the Gaussians with most of the weight at a pixel.
+    fn behind(
+        &self,
+        session: &mut Session<'_>,
+        [x, y]: [u32; 2],
+        scene: &Scene,
+        world: Option<&World>,
+    ) -> Result<Vec<usize>> {
+        let capture = Capture::open(&self.cameras)?;
+        let (to_scene, note) = crate::cameras::to_scene(self.relative_to.as_deref(), &capture, world, &self.cameras)?;
+        session.notes(note);
+        let view = self.view.clone().unwrap_or_default();
+        let frame = capture.frames_of(std::slice::from_ref(&view))?[0];
+        let camera = to_scene.apply(&frame.camera);
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        if x >= width || y >= height {
+            return Err(Error::argument("--at", format!("{x},{y}"), format!("a pixel of {width} x {height}")));
+        }
+        let camera = Camera { intrinsics: camera.intrinsics.crop(x as i32, y as i32, 1, 1), ..camera };
+        let one = PixelValues { width: 1, height: 1, channels: 1, values: vec![1.0] };
+        let found = lift(session, scene, &[camera], |_| Ok(one.clone()))?;
+        let most = found.weights.iter().copied().fold(0.0, f32::max);
+        if most == 0.0 {
+            return Err(Error::argument("--at", format!("no Gaussian at {x},{y}"), "a pixel that shows the scene"));
+        }
+        Ok(found.at_least(0, 0.0, CHOSEN * most))
+    }
+}
+
+fn lift(
+    session: &mut Session<'_>,
+    scene: &Scene,
+    cameras: &[Camera],
+    read: impl FnMut(usize) -> Result<PixelValues>,
+) -> Result<Lifted> {
+    let device = session.device()?;
+    let (found, _) = session.stage("select", |_| FeatureRenderer::new(&device).lift(scene, cameras, 1, 1, read))?;
+    Ok(found)
+}

@@ -1,0 +1,129 @@
+//! Values of photos, and features beside a scene.
+
+use crate::{cameras::to_scene, npy};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use sha2::{Digest, Sha256};
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+};
+use zipsplat::{
+    Camera, Error, Result, Scene,
+    features::{Features, Lifted, PixelValues},
+    types::{World, poses::Capture, write_atomic},
+};
+
+/// Largest side of the pictures that values are lifted from.
+const LARGEST: u32 = 1600;
+const KEYS: [&str; 2] = ["zipsplat.scene_sha256", "zipsplat.group"];
+
+/// Values of photos: files of a folder with the photos' names, and the photos' cameras.
+pub struct ValueFiles(pub Vec<(PathBuf, Camera)>);
+
+impl ValueFiles {
+    /// Finds NAME.npy or NAME.png for photos of a capture; returns notes.
+    pub fn find(
+        folder: &Path,
+        cameras: &Path,
+        relative_to: Option<&Path>,
+        world: Option<&World>,
+    ) -> Result<(Self, Vec<String>)> {
+        let capture = Capture::open(cameras)?;
+        let (to_scene, note) = to_scene(relative_to, &capture, world, cameras)?;
+        let mut files = Vec::new();
+        for frame in &capture.frames {
+            let name = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default());
+            let file = ["npy", "png"].map(|ext| name.with_extension(ext)).into_iter().find(|file| file.exists());
+            let Some(file) = file else { continue };
+            if frame.lens.is_some() {
+                let found = format!("{}, whose lens distorts", frame.name);
+                return Err(Error::argument("cameras of values", found, "photos of a pinhole camera"));
+            }
+            files.push((file, fitted(&to_scene.apply(&frame.camera))));
+        }
+        if files.is_empty() {
+            let expected = format!("NAME.npy or NAME.png for photos of {}", cameras.display());
+            return Err(Error::argument(folder.display().to_string(), "no values", expected));
+        }
+        let found = format!("{}: values of {} of {} photos", folder.display(), files.len(), capture.frames.len());
+        let notes = (files.len() < capture.frames.len()).then_some(found);
+        Ok((Self(files), capture.warnings.into_iter().chain(note).chain(notes).collect()))
+    }
+
+    pub fn cameras(&self) -> Vec<Camera> {
+        self.0.iter().map(|(_, camera)| *camera).collect()
+    }
+}
+
+/// Reads `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or labels as
+/// one channel each, where other values do not count.
+pub fn read_values(path: &Path, labels: Option<usize>) -> Result<PixelValues> {
+    if path.extension().is_some_and(|ext| ext == "npy") {
+        let ([height, width, channels], values) = npy::read_array(path, "height, width, channels")?;
+        return Ok(PixelValues { width, height, channels: channels as usize, values });
+    }
+    let picture = image::open(path).map_err(|error| Error::format(path, None, error.to_string()))?.into_luma8();
+    let (width, height) = picture.dimensions();
+    let value = |value: u8| match labels {
+        None => vec![f32::from(value) / 255.0],
+        Some(count) if usize::from(value) < count => {
+            (0..count).map(|label| f32::from(u8::from(label == usize::from(value)))).collect()
+        }
+        Some(count) => vec![f32::NAN; count],
+    };
+    let values = picture.into_raw().into_iter().flat_map(value).collect();
+    Ok(PixelValues { width, height, channels: labels.unwrap_or(1), values })
+}
+
+/// Writes features with the hash of their scene.
+pub fn save(path: &Path, lifted: &Lifted, scene: &Scene) -> Result<()> {
+    let Features { values, channels, group } = &lifted.features;
+    let rows = lifted.weights.len();
+    let view = |shape: Vec<usize>, values| TensorView::new(Dtype::F32, shape, bytemuck::cast_slice(values));
+    let tensors = [("features", view(vec![rows, *channels], values)), ("weights", view(vec![rows], &lifted.weights))]
+        .map(|(name, tensor)| (name, tensor.expect("whole values")));
+    let metadata: HashMap<String, String> =
+        KEYS.map(String::from).into_iter().zip([hash(scene), group.to_string()]).collect();
+    let bytes = safetensors::serialize(tensors, Some(metadata))
+        .map_err(|error| Error::format(path, None, error.to_string()))?;
+    write_atomic(path, |out| out.write_all(&bytes))
+}
+
+/// Reads features of a scene.
+pub fn open(path: &Path, scene: &Scene) -> Result<Lifted> {
+    let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
+    let malformed = |reason: String| Error::format(path, None, reason);
+    let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|error| malformed(error.to_string()))?;
+    let stated = metadata.metadata().clone().unwrap_or_default();
+    let [stated_hash, group] = KEYS.map(|key| stated.get(key).cloned().unwrap_or_default());
+    if stated_hash != hash(scene) {
+        return Err(malformed(format!("found features of scene {stated_hash:.12}, expected {:.12}", hash(scene))));
+    }
+    let file = SafeTensors::deserialize(&bytes).map_err(|error| malformed(error.to_string()))?;
+    let tensor = |name: &str| {
+        let tensor = file.tensor(name).map_err(|error| malformed(error.to_string()))?;
+        let (values, _) = tensor.data().as_chunks::<4>();
+        let width = tensor.shape().get(1).copied().unwrap_or(1);
+        Ok((values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<f32>>(), width))
+    };
+    let ((values, channels), (weights, _)) = (tensor("features")?, tensor("weights")?);
+    let features = Features { values, channels, group: group.parse().unwrap_or(0) };
+    features.validate(scene)?;
+    Ok(Lifted { features, weights })
+}
+
+fn hash(scene: &Scene) -> String {
+    let mut hash = Sha256::new();
+    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
+    for values in fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]) {
+        hash.update(bytemuck::cast_slice(values));
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn fitted(camera: &Camera) -> Camera {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let factor = (f64::from(LARGEST) / f64::from(width.max(height))).min(1.0);
+    let [width, height] = [width, height].map(|side| ((f64::from(side) * factor).round() as u32).max(1));
+    Camera { intrinsics: camera.intrinsics.resized(width, height), ..*camera }
+}
