@@ -27,6 +27,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_device_options { struct_size, validation, max_memory_bytes, device, cache_dir }
         zs_image { struct_size, format, width, height, stride, pixels, mask, mask_stride }
         zs_masks { struct_size, inverted, folder }
+        zs_pixel_values { struct_size, width, height, reserved, values }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs, antialiased, reserved }
         zs_capture_info { struct_size, reserved, view_count, warnings }
