@@ -18,8 +18,8 @@ pub fn draw(weights: &[f64], features: &[f64], channels: usize, group: usize) ->
     pixel
 }
 
-/// Adds a pixel's values, times the weights, to the rows of its splats, and the weights to `totals`.
-/// A NaN does not count.
+/// Adds a pixel's values, times the weights, to the rows of its splats, and the weights to
+/// `totals`. A NaN does not count.
 pub fn lift(weights: &[f64], values: &[f64], group: usize, lifted: &mut [f64], totals: &mut [f64]) {
     if values[0].is_nan() {
         return;

@@ -22,7 +22,7 @@ impl Lifted {
     /// a seed.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the features are another scene's, or there are no seeds with features.
+    /// [`Error::Argument`] if the features are another scene's, or no seed has any.
     pub fn select(&self, scene: &Scene, seeds: &[usize], least: f32) -> Result<Vec<usize>> {
         self.features.validate(scene)?;
         let Features { values, channels, group } = &self.features;

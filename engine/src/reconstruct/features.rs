@@ -14,7 +14,7 @@ use crate::{
 use std::{ops::ControlFlow, sync::Arc};
 
 /// Backbone features, for several scenes.
-pub struct Features {
+pub struct BackboneFeatures {
     shape: Shape,
     tensors: FeatureTensors,
     memory: Arc<Resident>,
@@ -24,7 +24,7 @@ pub struct Features {
     pub times: StageTimes,
 }
 
-impl Features {
+impl BackboneFeatures {
     /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.memory.bytes()
@@ -90,7 +90,7 @@ impl Model {
         images: &[Image],
         options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
-    ) -> Result<Features> {
+    ) -> Result<BackboneFeatures> {
         let shape = self.shape(images, options)?;
         let mut layout = ResidentLayout::new(self.device.limits());
         let tensors = FeatureTensors::lay_out(&mut layout, self.architecture(), shape.grid);
@@ -102,14 +102,14 @@ impl Model {
         self.write_photos(&mut run, &inputs, shape, images, options)?;
         let times = run.execute_with(progress)?;
         let masked = masked_patches(shape.grid, images);
-        Ok(Features { shape, tensors, memory, scene_scale: options.scale(), masked, times })
+        Ok(BackboneFeatures { shape, tensors, memory, scene_scale: options.scale(), masked, times })
     }
 
     /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection
     /// of `options`.
     pub fn reconstruct_features(
         &self,
-        features: &Features,
+        features: &BackboneFeatures,
         options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
@@ -148,7 +148,7 @@ impl Model {
     /// Tokens of masked patches are left out.
     pub fn tokens(
         &self,
-        features: &Features,
+        features: &BackboneFeatures,
         options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<SceneTokens> {
@@ -172,7 +172,7 @@ impl Model {
         }
     }
 
-    fn shape_of(&self, features: &Features, options: &ReconstructOptions) -> Result<Shape> {
+    fn shape_of(&self, features: &BackboneFeatures, options: &ReconstructOptions) -> Result<Shape> {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
         let size = [grid.columns, grid.rows].map(|count| (count * grid.patch_size) as u32);
         let chosen = (options.ratio, &options.token_selection);

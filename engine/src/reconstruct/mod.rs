@@ -6,7 +6,7 @@ mod options;
 mod patches;
 mod prepare;
 
-pub use features::{Features, SceneTokens};
+pub use features::{BackboneFeatures, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
 pub use options::{
     MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape, TokenSampling, TokenSelection,

@@ -49,8 +49,8 @@ impl Patches {
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })
     }
 
-    /// Drops the tokens of masked patches: a token's Gaussians show what its patch does. Returns the
-    /// other tokens' numbers, if images have masks.
+    /// Drops the tokens of masked patches, whose Gaussians show masked things. Returns the other
+    /// tokens' numbers, if images have masks.
     pub(super) fn drop_masked(&mut self, masked: Option<&[bool]>) -> Option<Vec<usize>> {
         let (masked, all) = (masked?, self.indices());
         let tokens: Vec<usize> = (0..all.len()).filter(|token| !masked[all[*token] as usize]).collect();

@@ -1,4 +1,4 @@
-//! Checkpoints of a refinement: safetensors with its whole state, from which it continues bit by bit.
+//! Checkpoints of a refinement: safetensors of its whole state, from which it continues bit by bit.
 
 use super::{RefineOptions, adam::HostAdam};
 use crate::{
@@ -215,7 +215,7 @@ fn view((name, dtype, shape, bytes): &Values) -> Result<(&str, TensorView<'_>), 
     Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?))
 }
 
-/// Returns what a refinement's result depends on. `start` are the initial values.
+/// Returns the conditions that decide a refinement's result. `start` is the initial values' hash.
 pub(super) fn identity(
     checkpoint: &RefineCheckpoint,
     device: &Device,

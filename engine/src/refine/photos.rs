@@ -17,7 +17,8 @@ pub trait Photos: Sync {
     /// Width and height of a photo in pixels.
     fn size(&self, i: usize) -> [u32; 2];
 
-    /// Decodes a photo, of this size, with its mask, if any. Several threads may open photos, also repeatedly.
+    /// Decodes a photo of this size, with its mask, if any. Several threads may open photos, also
+    /// repeatedly.
     ///
     /// # Errors
     /// An unreadable photo.

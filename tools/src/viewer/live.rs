@@ -14,7 +14,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Progress},
     ops::{Arithmetic, Precision},
-    reconstruct::{Features, Model, Ratio, ReconstructOptions, SceneTokens},
+    reconstruct::{BackboneFeatures, Model, Ratio, ReconstructOptions, SceneTokens},
     stages::ViewGrid,
     tune::KernelChoice,
     types::{Image, Pose, SaveOptions, Scene, SceneFormat},
@@ -43,7 +43,7 @@ pub struct Live<'a> {
 pub(super) struct Source {
     pub precision: Precision,
     pub model: Model,
-    pub features: Features,
+    pub features: BackboneFeatures,
 }
 
 pub struct LiveScene {

@@ -94,8 +94,8 @@ pub struct zs_depth_options {
     /// sizeof(zs_depth_options).
     pub struct_size: u32,
     /// Longer side of the network's input, for VGGT its width, 14 to 8192 pixels; 0 is 504, for
-    /// VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped to
-    /// their common center.
+    /// VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped
+    /// to their common center.
     pub input_size: u32,
     /// Source of estimated cameras.
     pub camera_source: zs_camera_source_value,
