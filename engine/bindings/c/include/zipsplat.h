@@ -859,8 +859,8 @@ typedef struct zs_depth_options {
     // sizeof(zs_depth_options).
     uint32_t struct_size;
     // Longer side of the network's input, for VGGT its width, 14 to 8192 pixels; 0 is 504, for
-    // VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped to
-    // their common center.
+    // VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped
+    // to their common center.
     uint32_t input_size;
     // Source of estimated cameras.
     zs_camera_source camera_source;
