@@ -10,7 +10,7 @@ use std::{
 use zipsplat::{
     Camera, Error, Result, Scene,
     features::{Features, Lifted, PixelValues},
-    types::{World, poses::Capture, write_atomic},
+    types::{Lens, World, poses::Capture, write_atomic},
 };
 
 /// Largest side of the pictures that values are lifted from.
@@ -18,7 +18,7 @@ const LARGEST: u32 = 1600;
 const KEYS: [&str; 2] = ["zipsplat.scene_sha256", "zipsplat.group"];
 
 /// Values of photos: files of a folder with the photos' names, and the photos' cameras.
-pub struct ValueFiles(pub Vec<(PathBuf, Camera)>);
+pub struct ValueFiles(Vec<(PathBuf, Camera, Option<Lens>)>);
 
 impl ValueFiles {
     /// Finds NAME.npy or NAME.png for photos of a capture; returns notes.
@@ -35,11 +35,7 @@ impl ValueFiles {
             let name = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default());
             let file = ["npy", "png"].map(|ext| name.with_extension(ext)).into_iter().find(|file| file.exists());
             let Some(file) = file else { continue };
-            if frame.lens.is_some() {
-                let found = format!("{}, whose lens distorts", frame.name);
-                return Err(Error::argument("cameras of values", found, "photos of a pinhole camera"));
-            }
-            files.push((file, fitted(&to_scene.apply(&frame.camera))));
+            files.push((file, fitted(&to_scene.apply(&frame.camera)), frame.lens));
         }
         if files.is_empty() {
             let expected = format!("NAME.npy or NAME.png for photos of {}", cameras.display());
@@ -51,13 +47,31 @@ impl ValueFiles {
     }
 
     pub fn cameras(&self) -> Vec<Camera> {
-        self.0.iter().map(|(_, camera)| *camera).collect()
+        self.0.iter().map(|(_, camera, _)| *camera).collect()
+    }
+
+    /// Reads the values of a photo, without its lens's distortion: the nearest, or NaN outside.
+    pub fn read(&self, i: usize, labels: Option<usize>) -> Result<PixelValues> {
+        let (path, _, lens) = &self.0[i];
+        let values = read_values(path, labels)?;
+        let Some(lens) = lens else { return Ok(values) };
+        let PixelValues { width, height, channels, values } = values;
+        let place = lens.places([width, height])?;
+        let empty = vec![f32::NAN; channels];
+        let at = |cell: usize| {
+            let (x, y) = place(cell / width as usize, cell % width as usize);
+            let is_inside = x >= 0.0 && y >= 0.0 && x < f64::from(width) && y < f64::from(height);
+            let source = if is_inside { y as usize * width as usize + x as usize } else { usize::MAX };
+            values.get(source.saturating_mul(channels)..).and_then(|row| row.get(..channels)).unwrap_or(&empty)
+        };
+        let values = (0..values.len() / channels.max(1)).flat_map(|cell| at(cell).to_vec()).collect();
+        Ok(PixelValues { width, height, channels, values })
     }
 }
 
 /// Reads `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or labels as
 /// one channel each, where other values do not count.
-pub fn read_values(path: &Path, labels: Option<usize>) -> Result<PixelValues> {
+fn read_values(path: &Path, labels: Option<usize>) -> Result<PixelValues> {
     if path.extension().is_some_and(|ext| ext == "npy") {
         let ([height, width, channels], values) = npy::read_array(path, "height, width, channels")?;
         return Ok(PixelValues { width, height, channels: channels as usize, values });

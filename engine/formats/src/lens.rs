@@ -101,14 +101,7 @@ impl Lens {
     /// interpolation.
     pub fn undistort(&self, photo: &Image) -> Result<Image> {
         photo.validate()?;
-        let (lens, pinhole) = (self.intrinsics, self.pinhole("photo")?);
-        let [lens, pinhole] = [lens, pinhole].map(|intrinsics| intrinsics.resized(photo.width, photo.height));
-        let place = |row: usize, column: usize| {
-            let x = (column as f64 + 0.5 - pinhole.cx) / pinhole.fx;
-            let y = (row as f64 + 0.5 - pinhole.cy) / pinhole.fy;
-            let [x, y] = self.distortion.apply([x, y]);
-            (lens.fx * x + lens.cx, lens.fy * y + lens.cy)
-        };
+        let place = self.places([photo.width, photo.height])?;
         let (width, size) = (photo.width as usize, [photo.width, photo.height]);
         let mut rgb = vec![0; photo.rgb.len()];
         rgb.par_chunks_exact_mut(3 * width).enumerate().for_each(|(row, out)| {
@@ -123,6 +116,22 @@ impl Lens {
         };
         let mask = photo.mask.as_ref().map(|mask| (0..mask.len()).map(|at| mask_at(mask, at)).collect());
         Ok(Image { width: photo.width, height: photo.height, rgb, mask })
+    }
+
+    /// Returns the place in a photo of this size of each row and column of its [`Lens::pinhole`]
+    /// picture.
+    ///
+    /// # Errors
+    /// As [`Lens::pinhole`].
+    pub fn places(&self, [width, height]: [u32; 2]) -> Result<impl Fn(usize, usize) -> (f64, f64) + Sync> {
+        let [lens, pinhole] =
+            [self.intrinsics, self.pinhole("photo")?].map(|intrinsics| intrinsics.resized(width, height));
+        Ok(move |row: usize, column: usize| {
+            let x = (column as f64 + 0.5 - pinhole.cx) / pinhole.fx;
+            let y = (row as f64 + 0.5 - pinhole.cy) / pinhole.fy;
+            let [x, y] = self.distortion.apply([x, y]);
+            (lens.fx * x + lens.cx, lens.fy * y + lens.cy)
+        })
     }
 
     fn zoomed(&self, zoom: f64) -> Intrinsics {

@@ -1,5 +1,5 @@
 use crate::{
-    lifted::{self, ValueFiles, read_values},
+    lifted::{self, ValueFiles},
     options::SceneInput,
     outputs::{Overwrite, size_of},
     session::Session,
@@ -57,24 +57,25 @@ impl Lift {
             ValueFiles::find(&self.values, &self.cameras, self.relative_to.as_deref(), world.as_ref())?;
         session.notes(notes);
         let labels = self.labels.map(usize::from);
-        let channels = read_values(&files.0[0].0, labels)?.channels;
+        let channels = files.read(0, labels)?.channels;
         let device = session.device()?;
         let (lifted, _) = session.stage("lift", |_| {
-            let read = |i: usize| read_values(&files.0[i].0, labels);
-            FeatureRenderer::new(&device).lift(&scene, &files.cameras(), self.gaussians_per_token, channels, read)
+            let (cameras, read) = (files.cameras(), |i: usize| files.read(i, labels));
+            FeatureRenderer::new(&device).lift(&scene, &cameras, self.gaussians_per_token, channels, read)
         })?;
         lifted::save(&self.output, &lifted, &scene)?;
         let (rows, written) = (lifted.weights.len(), size_of(&self.output)?);
         let seen = lifted.weights.iter().filter(|weight| **weight > 0.0).count();
+        let photos = files.cameras().len();
         let json = json!({
-            "output": self.output, "rows": rows, "seen": seen, "channels": channels, "photos": files.0.len(),
+            "output": self.output, "rows": rows, "seen": seen, "channels": channels, "photos": photos,
             "bytes": written,
         });
         let text = format!(
             "{}: {} of {channels} channels from {}, {seen} seen, {}",
             self.output.display(),
             counted(rows, "feature"),
-            counted(files.0.len(), "photo"),
+            counted(photos, "photo"),
             bytes(written)
         );
         session.report(&json, text)

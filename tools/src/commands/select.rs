@@ -1,5 +1,5 @@
 use crate::{
-    lifted::{self, ValueFiles, read_values},
+    lifted::{self, ValueFiles},
     options::SceneInput,
     outputs::{self, Overwrite},
     session::Session,
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Camera, Error, Result, SaveOptions, Scene,
     features::{FeatureRenderer, Lifted, PixelValues},
-    types::{World, poses::Capture, read_world},
+    types::{Lens, World, poses::Capture, read_world},
 };
 
 /// Least mean of a mask's values, and pixels of weight, of a Gaussian inside.
@@ -121,7 +121,7 @@ impl Select {
     ) -> Result<Vec<usize>> {
         let (files, notes) = ValueFiles::find(folder, &self.cameras, self.relative_to.as_deref(), world)?;
         session.notes(notes);
-        let read = |i: usize| read_values(&files.0[i].0, None);
+        let read = |i: usize| files.read(i, None);
         Ok(lift(session, scene, &files.cameras(), read)?.at_least(0, INSIDE, LEAST_PIXELS))
     }
 
@@ -143,6 +143,7 @@ impl Select {
         if x >= width || y >= height {
             return Err(Error::argument("--at", format!("{x},{y}"), format!("a pixel of {width} x {height}")));
         }
+        let [x, y] = frame.lens.as_ref().map_or(Ok([x, y]), |lens| pinhole_pixel(lens, [x, y]))?;
         let camera = Camera { intrinsics: camera.intrinsics.crop(x as i32, y as i32, 1, 1), ..camera };
         let one = PixelValues { width: 1, height: 1, channels: 1, values: vec![1.0] };
         let found = lift(session, scene, &[camera], |_| Ok(one.clone()))?;
@@ -152,6 +153,18 @@ impl Select {
         }
         Ok(found.at_least(0, 0.0, CHOSEN * most))
     }
+}
+
+/// Returns the pixel of a lens's pinhole picture nearest to a photo's pixel.
+fn pinhole_pixel(lens: &Lens, [x, y]: [u32; 2]) -> Result<[u32; 2]> {
+    let [width, height] = [lens.intrinsics.width, lens.intrinsics.height];
+    let place = lens.places([width, height])?;
+    let distance = |at: &[u32; 2]| {
+        let (u, v) = place(at[1] as usize, at[0] as usize);
+        (u - f64::from(x) - 0.5).hypot(v - f64::from(y) - 0.5)
+    };
+    let pixels = (0..height).flat_map(|v| (0..width).map(move |u| [u, v]));
+    Ok(pixels.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or([x, y]))
 }
 
 fn lift(
