@@ -1,6 +1,6 @@
 // Copies rows of an array into columns of a wider one, to join arrays side by side.
 //
-// Source [groups, group, width] f32, of which `kept` rows from `first` on are copied
+// Source [groups, group, width] f32, rows `first` to `first + kept` of each group are copied
 // Out    [rows, out_width] OUTPUT, columns from out_column on
 #version 460
 #pragma element OUTPUT

@@ -1,6 +1,6 @@
 use crate::{
     prelude::*,
-    render::backward::rasterize::{self, HEIGHT, Share, Splat, WIDTH, pixel, pixels, splats, tiles},
+    render::backward::rasterize::{self, HEIGHT, Lists, Share, Splat, WIDTH, pixel, pixels, splats, tiles},
 };
 use zipsplat::{
     gpu::Tensor,
@@ -96,17 +96,11 @@ impl Problem {
     /// Records drawing, and lifting by both kernels.
     fn record(&self, trial: &mut Trial<'_>, device: &Device) -> [Tensor; 3] {
         let ([columns, rows], count) = (tiles(), self.splats.len() as u32);
-        let tiles = (columns * rows) as u32;
-        let all: Vec<u32> = (0..tiles).flat_map(|_| 0..count).collect();
-        let lists: Vec<u32> = (0..=tiles).map(|tile| tile * count).collect();
-        // All tiles, without a mask.
-        let sets: Vec<[u32; 3]> = vec![[0, columns as u32 | (rows as u32) << 16, 0]; count as usize];
-        let starts: Vec<u32> = (0..=count).map(|splat| splat * tiles).collect();
+        let Lists { pair_indices, tile_offsets, tile_sets, slots } = Lists::record(trial, count);
         let of = |values: &dyn Fn(&Splat) -> [f32; 3]| self.splats.iter().map(values).collect::<Vec<_>>();
-        let (capacity, lanes) = ((count * tiles) as usize, device.limits().subgroup_size);
-        let (pair_indices, tile_offsets) = (trial.input(&all), trial.input(&lists));
+        let (capacity, lanes) = (count as usize * columns * rows, device.limits().subgroup_size);
         let xy_opacities = trial.input(&of(&|splat| [splat.place[0], splat.place[1], splat.opacity]));
-        let (conics, slots) = (trial.input(&of(&|splat| splat.conic)), trial.input(&starts));
+        let conics = trial.input(&of(&|splat| splat.conic));
         let pictures = trial.output::<f32>((WIDTH * HEIGHT) as usize * CHANNELS);
         let (size, grid, runs) = ([WIDTH, HEIGHT], [columns as u32, rows as u32], TILE * TILE / lanes);
         let draw = Draw {
@@ -128,7 +122,7 @@ impl Problem {
         let lift = Lift {
             pair_indices,
             tile_offsets,
-            tile_sets: trial.input(&sets),
+            tile_sets,
             slots,
             xy_opacities,
             conics,

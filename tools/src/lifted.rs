@@ -1,6 +1,11 @@
 //! Values of photos, and features beside a scene.
 
-use crate::{cameras::to_scene, npy};
+use crate::{
+    cameras::{Similarity, to_scene},
+    npy,
+    session::Session,
+};
+use clap::Args;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use sha2::{Digest, Sha256};
 use std::{
@@ -10,40 +15,58 @@ use std::{
 use zipsplat::{
     Camera, Error, Result, Scene,
     features::{Features, Lifted, PixelValues},
-    types::{Lens, World, poses::Capture, write_atomic},
+    types::{Lens, World, named_after, poses::Capture, write_atomic},
 };
 
 /// Largest side of the pictures that values are lifted from.
 const LARGEST: u32 = 1600;
 const KEYS: [&str; 2] = ["zipsplat.scene_sha256", "zipsplat.group"];
 
+/// Photos that show a scene.
+#[derive(Args)]
+pub struct PosedPhotos {
+    /// Cameras of the photos: transforms.json or a COLMAP model's folder
+    #[arg(long, value_name = "PATH")]
+    cameras: PathBuf,
+    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
+    /// cameras' world]
+    #[arg(long, value_name = "PHOTO")]
+    relative_to: Option<PathBuf>,
+}
+
+impl PosedPhotos {
+    /// Opens the capture, and maps it to the scene's world.
+    pub fn open(&self, session: &mut Session<'_>, world: Option<&World>) -> Result<(Capture, Similarity)> {
+        let capture = Capture::open(&self.cameras)?;
+        session.notes(&capture.warnings);
+        let (to_scene, note) = to_scene(self.relative_to.as_deref(), &capture, world, &self.cameras)?;
+        session.notes(note);
+        Ok((capture, to_scene))
+    }
+}
+
 /// Values of photos: files of a folder with the photos' names, and the photos' cameras.
 pub struct ValueFiles(Vec<(PathBuf, Camera, Option<Lens>)>);
 
 impl ValueFiles {
-    /// Finds NAME.npy or NAME.png for photos of a capture; returns notes.
-    pub fn find(
-        folder: &Path,
-        cameras: &Path,
-        relative_to: Option<&Path>,
-        world: Option<&World>,
-    ) -> Result<(Self, Vec<String>)> {
-        let capture = Capture::open(cameras)?;
-        let (to_scene, note) = to_scene(relative_to, &capture, world, cameras)?;
+    /// Finds NAME.npy or NAME.png for photos of a capture.
+    pub fn find(session: &mut Session<'_>, folder: &Path, photos: &PosedPhotos, world: Option<&World>) -> Result<Self> {
+        let (capture, to_scene) = photos.open(session, world)?;
         let mut files = Vec::new();
         for frame in &capture.frames {
-            let name = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default());
-            let file = ["npy", "png"].map(|ext| name.with_extension(ext)).into_iter().find(|file| file.exists());
-            let Some(file) = file else { continue };
+            let names = ["npy", "png"].map(|ext| named_after(folder, Path::new(&frame.name), ext));
+            let Some(file) = names.into_iter().flatten().find(|file| file.exists()) else { continue };
             files.push((file, fitted(&to_scene.apply(&frame.camera)), frame.lens));
         }
         if files.is_empty() {
-            let expected = format!("NAME.npy or NAME.png for photos of {}", cameras.display());
+            let expected = format!("NAME.npy or NAME.png for photos of {}", photos.cameras.display());
             return Err(Error::argument(folder.display().to_string(), "no values", expected));
         }
-        let found = format!("{}: values of {} of {} photos", folder.display(), files.len(), capture.frames.len());
-        let notes = (files.len() < capture.frames.len()).then_some(found);
-        Ok((Self(files), capture.warnings.into_iter().chain(note).chain(notes).collect()))
+        if files.len() < capture.frames.len() {
+            let (found, all) = (files.len(), capture.frames.len());
+            session.note(format!("{}: values of {found} of {all} photos", folder.display()));
+        }
+        Ok(Self(files))
     }
 
     pub fn cameras(&self) -> Vec<Camera> {

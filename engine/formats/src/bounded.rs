@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::{
     Image,
     preprocess::{PATCH, PixelMap, View},
-    resample::resize_bicubic,
+    resample::{cubic, resize_bicubic},
 };
 use crate::{Error, Result};
 
@@ -100,7 +100,7 @@ fn check(photo: &Image, bound: u32) -> Result<()> {
     if (PATCH..=8192).contains(&bound) {
         return Ok(());
     }
-    Err(Error::argument("longest side", bound, format!("{PATCH} to 8192 pixels")))
+    Err(Error::argument("input size", bound, format!("{PATCH} to 8192 pixels")))
 }
 
 /// Rounds as OpenCV: means in f32, interpolation in fixed point, exact in f64.
@@ -141,13 +141,11 @@ fn area_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
 
 fn cubic_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(inputs) / f64::from(outputs);
-    let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;
-    let far = |u: f64| ((A * u - 5.0 * A) * u + 8.0 * A) * u - 4.0 * A;
     let unit = f64::from(1 << BITS);
     let tap = |i: u32| {
         let place = (f64::from(i) + 0.5) * scale - 0.5;
         let t = place - place.floor();
-        let weights = [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)];
+        let weights = [1.0 + t, t, 1.0 - t, 2.0 - t].map(|x| cubic(x, A));
         let at = |k: usize| (place.floor() as i64 - 1 + k as i64).clamp(0, i64::from(inputs) - 1) as usize;
         (0..4).map(|k| (at(k), (weights[k] * unit).round_ties_even() / unit)).collect()
     };

@@ -44,7 +44,7 @@ pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};
 pub use format::SaveOptions;
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
 pub use lens::{Distortion, Lens};
-pub use mask::{MASKED, MaskSource, Masks};
+pub use mask::{MASKED, MaskSource, Masks, named_after};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
 pub use scene::{NEAR, Scene, near};
 pub use scene_file::{SceneFormat, read_world};

@@ -33,6 +33,16 @@ pub enum MaskSource {
     Alpha,
 }
 
+/// Returns the paths of a photo's companion in a folder: `1.jpg.png`, as for COLMAP, or `1.png` for
+/// `1.jpg`.
+pub fn named_after(folder: &Path, photo: &Path, extension: &str) -> [PathBuf; 2] {
+    [photo.file_name(), photo.file_stem()].map(|name| {
+        let mut name = name.unwrap_or_default().to_owned();
+        name.push(format!(".{extension}"));
+        folder.join(name)
+    })
+}
+
 impl Masks {
     /// Returns the file of a photo's mask, or the photo itself for its alpha channel.
     ///
@@ -40,12 +50,7 @@ impl Masks {
     /// [`Error::Argument`] if the folder has none.
     pub fn file(&self, photo: &Path) -> Result<PathBuf> {
         let MaskSource::Folder(folder) = &self.source else { return Ok(photo.to_owned()) };
-        let png = |name: &std::ffi::OsStr| {
-            let mut name = name.to_owned();
-            name.push(".png");
-            folder.join(name)
-        };
-        let files = [photo.file_name(), photo.file_stem()].map(|name| png(name.unwrap_or_default()));
+        let files = named_after(folder, photo, "png");
         files.iter().find(|file| file.is_file() && *file != photo).cloned().ok_or_else(|| {
             let expected = format!("{} or {}", files[1].display(), files[0].display());
             Error::argument(format!("mask of {}", photo.display()), "none", expected)

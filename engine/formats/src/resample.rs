@@ -109,10 +109,14 @@ fn lanczos3(x: f64) -> f64 {
 }
 
 fn bicubic(x: f64) -> f64 {
-    const A: f64 = -0.5;
+    cubic(x, -0.5)
+}
+
+/// Cubic convolution kernel (Keys 1981) with parameter `a`: -0.5 in Pillow, -0.75 in OpenCV.
+pub fn cubic(x: f64, a: f64) -> f64 {
     match x.abs() {
-        x if x < 1.0 => ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0,
-        x if x < 2.0 => (((x - 5.0) * x + 8.0) * x - 4.0) * A,
+        x if x < 1.0 => ((a + 2.0) * x - (a + 3.0)) * x * x + 1.0,
+        x if x < 2.0 => ((a * x - 5.0 * a) * x + 8.0 * a) * x - 4.0 * a,
         _ => 0.0,
     }
 }

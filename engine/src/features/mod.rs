@@ -11,10 +11,10 @@ use crate::{
     Error, Result,
     gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
     stages::{
-        FrameShape, SceneTensors,
+        FrameShape,
         render::{
-            CameraRows, DeviceScene, FeatureRows, PlanCache, PlanKey, RenderOptions, SceneMemory, VECTOR,
-            VECTORS_AT_ONCE, camera_rows, check_camera, first_capacity, record_lift, record_pictures,
+            CameraRows, DeviceScene, FeatureRows, PlanCache, PlanKey, RenderOptions, Renderer, VECTOR, VECTORS_AT_ONCE,
+            camera_rows, check_camera, first_capacity, record_lift, record_pictures,
         },
     },
     types::{Camera, Scene},
@@ -79,8 +79,9 @@ impl Features {
 /// Lifts and draws features on one device.
 pub struct FeatureRenderer {
     arena: Arena,
-    scene: Option<SceneMemory>,
-    plans: PlanCache<Job, Planned>,
+    /// Uploads scenes.
+    renderer: Renderer,
+    plans: PlanCache<Job, FeaturePlan>,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -93,7 +94,7 @@ struct Job {
     cells: Option<[u32; 2]>,
 }
 
-struct Planned {
+struct FeaturePlan {
     run: Run,
     camera: Tensor,
     /// To lift from.
@@ -113,7 +114,8 @@ struct Part {
 impl FeatureRenderer {
     /// Creates its own arena.
     pub fn new(device: &Device) -> Self {
-        Self { arena: Arena::new(device), scene: None, plans: PlanCache::new(device.limits(), 0) }
+        let arena = Arena::new(device);
+        Self { renderer: Renderer::in_arena(&arena), arena, plans: PlanCache::new(device.limits(), 0) }
     }
 
     /// Lifts pixel values of `cameras`' pictures to every `group` consecutive Gaussians of a scene.
@@ -139,8 +141,8 @@ impl FeatureRenderer {
         if scene.is_empty() || cameras.is_empty() {
             return Ok(lifted);
         }
-        let _claim = self.arena.claim().expect("nobody else knows it");
         let device_scene = self.load(scene)?;
+        let _claim = self.arena.claim().expect("nobody else knows it");
         let vectors = channels.div_ceil(VECTOR).min(self.vectors_at_once(rows.count + self.plans.capacity));
         for first in (0..channels).step_by(VECTOR * vectors) {
             let width = (VECTOR * vectors).min(channels - first);
@@ -151,7 +153,7 @@ impl FeatureRenderer {
                 let cells = check_values(&values, i, channels)?;
                 let padded = padded(&values.values, channels, first..first + width, VECTOR * vectors, is_counted);
                 let job = Job { vectors, cells: Some(cells), ..job(scene, group) };
-                self.add(&device_scene, camera, job, &part, Some(&padded), |_, _| Ok(()))?;
+                self.run(&device_scene, camera, job, &part, Some(&padded), |_, _| Ok(()))?;
             }
             let sums: Vec<f32> = part.resident.read(part.features[0])?;
             lifted.weights = part.resident.read(part.totals)?;
@@ -182,8 +184,8 @@ impl FeatureRenderer {
         if scene.is_empty() {
             return Ok(pictures);
         }
-        let _claim = self.arena.claim().expect("nobody else knows it");
         let device_scene = self.load(scene)?;
+        let _claim = self.arena.claim().expect("nobody else knows it");
         let pixels = pictures.iter().map(|picture| picture.values.len() / channels).max().unwrap_or(0);
         let passes = (self.vectors_at_once(rows.count + pixels) / VECTORS_AT_ONCE).max(1);
         for first in (0..channels).step_by(CHANNELS_AT_ONCE * passes) {
@@ -199,7 +201,7 @@ impl FeatureRenderer {
             }
             for (camera, picture) in zip(cameras, &mut pictures) {
                 let job = Job { vectors: VECTORS_AT_ONCE * passes, cells: None, ..job(scene, group) };
-                self.add(&device_scene, camera, job, &part, None, |run, drawn| {
+                self.run(&device_scene, camera, job, &part, None, |run, drawn| {
                     for (pass, tensor) in drawn.iter().enumerate() {
                         let values: Vec<f32> = run.read(*tensor)?;
                         let pixels =
@@ -224,26 +226,14 @@ impl FeatureRenderer {
     }
 
     fn load(&mut self, scene: &Scene) -> Result<DeviceScene> {
-        let (len, degree) = (scene.len(), scene.sh_degree);
-        self.plans = PlanCache::new(self.arena.device().limits(), self.plans.capacity.max(first_capacity(len)));
-        let fits = |memory: &SceneMemory| {
-            (memory.tensors().len, memory.tensors().sh_degree) == (len, degree) && memory.is_free()
-        };
-        let mut memory = match self.scene.take().filter(fits) {
-            Some(memory) => memory,
-            None => {
-                let mut layout = ResidentLayout::new(self.arena.device().limits());
-                let tensors = SceneTensors::lay_out(&mut layout, len, degree);
-                SceneMemory::new(self.arena.device(), &layout, tensors)?
-            }
-        };
-        let scene = memory.write(scene)?;
-        self.scene = Some(memory);
-        Ok(scene)
+        let capacity = self.plans.capacity.max(first_capacity(scene.len()));
+        self.plans = PlanCache::new(self.arena.device().limits(), capacity);
+        self.renderer.set_scene(scene)?;
+        Ok(self.renderer.scene().expect("just set").clone())
     }
 
     /// Runs a job of one camera until its intersections fit.
-    fn add(
+    fn run(
         &mut self,
         scene: &DeviceScene,
         camera: &Camera,
@@ -255,7 +245,8 @@ impl FeatureRenderer {
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
         let key = PlanKey { shape, backward: job.cells.is_some(), options: job };
         loop {
-            let plan = self.plans.get(key, |capacity| Planned::new(&self.arena, scene, shape, job, part, capacity))?;
+            let plan =
+                self.plans.get(key, |capacity| FeaturePlan::new(&self.arena, scene, shape, job, part, capacity))?;
             plan.run.write(plan.camera, &[camera_rows(camera)])?;
             if let Some((tensor, values)) = plan.values.zip(values) {
                 plan.run.write(tensor, values)?;
@@ -270,7 +261,7 @@ impl FeatureRenderer {
     }
 }
 
-impl Planned {
+impl FeaturePlan {
     fn new(
         arena: &Arena,
         scene: &DeviceScene,

@@ -1,4 +1,4 @@
-//! Checkpoints of a refinement: safetensors of its whole state, from which it continues bit by bit.
+//! Checkpoints of a refinement: safetensors of its whole state, to resume with equal bits.
 
 use super::{RefineOptions, adam::HostAdam};
 use crate::{

@@ -90,8 +90,8 @@ pub enum StopReason {
     Cancelled,
     /// The loss became NaN or infinite, or grew.
     Diverged(String),
-    /// A photo could not be opened, or a checkpoint not be written.
-    Unreadable(String),
+    /// A photo could not be opened, or a checkpoint could not be written.
+    Io(String),
 }
 
 /// Result of a refinement.
@@ -221,7 +221,8 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
 
 type Make<'a> = &'a dyn Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>;
 
-/// `make` is with the hash of what it makes; `len` is the number of Gaussians if they may grow.
+/// `make` creates the Gaussians, `hash` identifies their initial values. `len` is their number if
+/// they may grow.
 fn run(
     arena: &Arena,
     (make, hash): (Make<'_>, &dyn Fn() -> Result<u64>),

@@ -154,9 +154,9 @@ impl<'a> Refinement<'a> {
         {
             (self.kept, after) = (given, before);
         }
-        let pixels = self.measured.iter().flat_map(|view| view.image.mask_or_all().into_owned());
-        let (ignored, count) =
-            pixels.fold((0, 0), |(ignored, count), kept| (ignored + usize::from(kept == 0), count + 1));
+        let masks = self.measured.iter().filter_map(|view| view.image.mask.as_ref());
+        let ignored = masks.flatten().filter(|kept| **kept == 0).count();
+        let pixels: usize = self.measured.iter().map(|view| view.image.rgb.len() / 3).sum();
         let Self { losses, kept, holdout_psnr, holdout, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras, exposures } = kept;
         let exposures = exposures.map(|exposures| (0..cameras.len()).map(|photo| exposures.get(photo)).collect());
@@ -172,7 +172,7 @@ impl<'a> Refinement<'a> {
             best_step,
             holdout_psnr,
             training_psnr,
-            masked_fraction: ignored as f64 / f64::from(count),
+            masked_fraction: ignored as f64 / pixels as f64,
             holdout_views: holdout,
             sizes,
             took,
@@ -208,7 +208,7 @@ impl<'a> Refinement<'a> {
                     let saved = saving.map_or(Ok(()), |saving| self.save(saving, step, begin));
                     let why = match (error, saved) {
                         (Error::Cancelled, Ok(())) => StopReason::Cancelled,
-                        (Error::Cancelled, Err(error)) | (error, _) => StopReason::Unreadable(error.to_string()),
+                        (Error::Cancelled, Err(error)) | (error, _) => StopReason::Io(error.to_string()),
                     };
                     return self.stop(step, why);
                 }
@@ -250,7 +250,7 @@ impl<'a> Refinement<'a> {
             if let Some(saving) = saving.as_mut().filter(|saving| cancelled || saving.is_due())
                 && let Err(error) = self.save(saving, done, begin)
             {
-                return self.stop(done, StopReason::Unreadable(error.to_string()));
+                return self.stop(done, StopReason::Io(error.to_string()));
             }
             if cancelled {
                 return self.stop(done, StopReason::Cancelled);

@@ -60,6 +60,11 @@ pub struct DepthFeatures {
     pub cameras: Option<Rows>,
 }
 
+/// Translation 3, quaternion 4, vertical and horizontal field of view.
+const POSE_ENCODING: usize = 9;
+/// With padding.
+const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
+
 /// Reference view, if no cameras are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {

@@ -219,7 +219,7 @@ impl Values for Problem {
     }
 }
 
-/// Bytes of four pixels, of which about 40 % are masked.
+/// Mask bytes of four pixels per word, about 40 % masked.
 fn mask_word(four: &[f32]) -> u32 {
     four.iter().rev().fold(0, |word, r| word << 8 | if *r > 0.2 { 0 } else { 255 })
 }

@@ -73,7 +73,7 @@ fn a_masked_figure_leaves_no_ghost() {
     assert!(with_db > without_db + 5.0 && with_db > clean_db - 3.0, "{with_db}, {without_db} and {clean_db} dB");
     assert!(same.scene == clean.scene && same.losses == clean.losses, "masks that keep all change no bit");
 
-    // What a mask hides has no influence, also on exposures.
+    // Masked content has no influence, not even on exposures.
     let mut other = masked.clone();
     other.iter_mut().for_each(|photo| photo.rgb = photo.hidden().rgb.clone());
     let [a, b] = [&masked, &other].map(|photos| refined(&shot, photos, Exposure::On));

@@ -61,7 +61,7 @@ fn results_are_independent_of_the_memory_for_photos() {
 fn photos_that_vanish_end_the_refinement_with_the_best_scene() {
     let photos = photos(&cameras(6)).1;
     let (refined, _) = refine_opened(&photos, 12, 0);
-    assert!(matches!(&refined.stop_reason, Some(StopReason::Unreadable(why)) if why.contains("no file")));
+    assert!(matches!(&refined.stop_reason, Some(StopReason::Io(why)) if why.contains("no file")));
     let steps = refined.losses.len();
     assert!((1..20).contains(&steps) && (1..=steps).contains(&refined.best_step), "{steps}, {}", refined.best_step);
 }

@@ -1,5 +1,5 @@
 use crate::{
-    lifted::{self, ValueFiles},
+    lifted::{self, PosedPhotos, ValueFiles},
     options::SceneInput,
     outputs::{Overwrite, size_of},
     session::Session,
@@ -26,13 +26,8 @@ pub struct Lift {
     /// photos NAME; a NaN does not count
     #[arg(value_name = "VALUES")]
     values: PathBuf,
-    /// Cameras of the photos: transforms.json or a COLMAP model's folder
-    #[arg(long, value_name = "PATH")]
-    cameras: PathBuf,
-    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
-    /// cameras' world]
-    #[arg(long, value_name = "PHOTO")]
-    relative_to: Option<PathBuf>,
+    #[command(flatten)]
+    photos: PosedPhotos,
     /// PNG pictures hold labels from 0 to N - 1, a channel each; other values do not count
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
     labels: Option<u8>,
@@ -53,9 +48,7 @@ impl Lift {
         self.overwrite.check_file(&self.output)?;
         let (scene, _) = self.input.read(session, &self.scene)?;
         let world = read_world(&self.scene)?;
-        let (files, notes) =
-            ValueFiles::find(&self.values, &self.cameras, self.relative_to.as_deref(), world.as_ref())?;
-        session.notes(notes);
+        let files = ValueFiles::find(session, &self.values, &self.photos, world.as_ref())?;
         let labels = self.labels.map(usize::from);
         let channels = files.read(0, labels)?.channels;
         let device = session.device()?;

@@ -29,8 +29,8 @@ use zipsplat::{
 /// The scene's world is that of the cameras, or the camera of a photo, which the scene's file or
 /// --relative-to names. --init points needs no scene, only the capture's point cloud. From 40
 /// photos on one is held out, and the best step by that photo is written. Ctrl-C stops early and
-/// writes the best step so far. Every minute and at Ctrl-C, FILE.checkpoint beside the scene keeps
-/// the state, from which the same command continues.
+/// writes the best step so far. FILE.checkpoint beside the scene keeps the state, every minute and
+/// at Ctrl-C; the same command resumes.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --cameras transforms.json -o better.ply

@@ -1,5 +1,5 @@
 use crate::{
-    lifted::{self, ValueFiles},
+    lifted::{self, PosedPhotos, ValueFiles},
     options::SceneInput,
     outputs::{self, Overwrite},
     session::Session,
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Camera, Error, Result, SaveOptions, Scene,
     features::{FeatureRenderer, Lifted, PixelValues},
-    types::{Lens, World, poses::Capture, read_world},
+    types::{Lens, World, read_world},
 };
 
 /// Least mean of a mask's values, and pixels of weight, of a Gaussian inside.
@@ -43,13 +43,8 @@ pub struct Select {
     /// Photo of the pixel
     #[arg(long, value_name = "PHOTO", requires = "at")]
     view: Option<PathBuf>,
-    /// Cameras of the photos: transforms.json or a COLMAP model's folder
-    #[arg(long, value_name = "PATH")]
-    cameras: PathBuf,
-    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
-    /// cameras' world]
-    #[arg(long, value_name = "PHOTO")]
-    relative_to: Option<PathBuf>,
+    #[command(flatten)]
+    photos: PosedPhotos,
     /// Features of the scene, of `lift`
     #[arg(long, value_name = "FILE")]
     features: Option<PathBuf>,
@@ -88,10 +83,9 @@ impl Select {
             Some(features) => features.select(&scene, &seeds, self.threshold)?,
             None => seeds,
         };
-        let mut chosen = vec![!self.remove; scene.len()];
-        let is_selected: std::collections::HashSet<usize> = selected.iter().copied().collect();
-        (0..scene.len()).for_each(|i| chosen[i] = is_selected.contains(&i) != self.remove);
-        let kept: Vec<usize> = (0..scene.len()).filter(|i| chosen[*i]).collect();
+        let mut is_selected = vec![false; scene.len()];
+        selected.iter().for_each(|i| is_selected[*i] = true);
+        let kept: Vec<usize> = (0..scene.len()).filter(|i| is_selected[*i] != self.remove).collect();
         if kept.is_empty() {
             let expected = "one that leaves Gaussians";
             return Err(Error::argument("selection", format!("{} of {}", selected.len(), scene.len()), expected));
@@ -119,8 +113,7 @@ impl Select {
         scene: &Scene,
         world: Option<&World>,
     ) -> Result<Vec<usize>> {
-        let (files, notes) = ValueFiles::find(folder, &self.cameras, self.relative_to.as_deref(), world)?;
-        session.notes(notes);
+        let files = ValueFiles::find(session, folder, &self.photos, world)?;
         let read = |i: usize| files.read(i, None);
         Ok(lift(session, scene, &files.cameras(), read)?.at_least(0, INSIDE, LEAST_PIXELS))
     }
@@ -133,9 +126,7 @@ impl Select {
         scene: &Scene,
         world: Option<&World>,
     ) -> Result<Vec<usize>> {
-        let capture = Capture::open(&self.cameras)?;
-        let (to_scene, note) = crate::cameras::to_scene(self.relative_to.as_deref(), &capture, world, &self.cameras)?;
-        session.notes(note);
+        let (capture, to_scene) = self.photos.open(session, world)?;
         let view = self.view.clone().unwrap_or_default();
         let frame = capture.frames_of(std::slice::from_ref(&view))?[0];
         let camera = to_scene.apply(&frame.camera);

@@ -120,7 +120,7 @@ fn ended(refined: &RefineResult) -> String {
     match &refined.stop_reason {
         None => "after all steps".into(),
         Some(StopReason::Cancelled) => "cancelled".into(),
-        Some(StopReason::Diverged(why) | StopReason::Unreadable(why)) => why.clone(),
+        Some(StopReason::Diverged(why) | StopReason::Io(why)) => why.clone(),
     }
 }
 
@@ -135,7 +135,7 @@ pub(super) fn doubt(refined: &RefineResult) -> Option<String> {
              --holdout-views 1 measures it",
             counted(training, "photo")
         )),
-        Some(StopReason::Diverged(why) | StopReason::Unreadable(why)) => {
+        Some(StopReason::Diverged(why) | StopReason::Io(why)) => {
             Some(format!("the refinement ended early: {why}; the scene after step {} is kept", refined.best_step))
         }
         _ => None,

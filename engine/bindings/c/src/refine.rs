@@ -379,7 +379,7 @@ impl From<&RefineResult> for zs_refine_result {
             None => zs_stop_reason::ZS_STOP_REASON_FINISHED,
             Some(StopReason::Cancelled) => zs_stop_reason::ZS_STOP_REASON_STOPPED,
             // Photos in memory are always readable.
-            Some(StopReason::Diverged(_) | StopReason::Unreadable(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
+            Some(StopReason::Diverged(_) | StopReason::Io(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
         };
         Self {
             stop_reason: stop_reason as i32,

@@ -3,14 +3,8 @@ use crate::{
     gpu::{Element, Recorder, Run, Tensor},
     kernels::backbone::Tokens,
     ops::{Block, Norm, Parameters, Pool, Rotary, Rows, Sequences},
-    stages::{BackboneArchitecture, Reference, ViewGrid},
+    stages::{BackboneArchitecture, POSE_ENCODING, Reference, ViewGrid},
 };
-
-/// Translation 3, quaternion 4, vertical and horizontal field of view.
-pub(super) const POSE_ENCODING: usize = 9;
-
-/// With padding.
-pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
 pub(super) struct Transformer {
     pub architecture: BackboneArchitecture,

@@ -20,7 +20,7 @@ pub use dpt::ViewTensors;
 pub use gaussians::{GAUSSIAN_VALUES, GaussianTensors};
 pub use position::position_table;
 
-use super::{DepthArchitecture, DepthFeatures, ViewGrid};
+use super::{DepthArchitecture, DepthFeatures, POSE_VALUES, ViewGrid};
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
@@ -91,8 +91,8 @@ impl HeadTensors {
     /// pixels]`.
     pub fn write(&self, run: &mut Run, images: &[f32], parameters: &Parameters) -> Result<()> {
         if let Some(CameraTensors::Iterated { initial, empty, .. }) = self.cameras {
-            let padded = |i: usize| parameters[empty].get(i % PoseHead::PADDED).copied().unwrap_or(0.0);
-            run.write(initial, &(0..self.views.len() * PoseHead::PADDED).map(padded).collect::<Vec<_>>())?;
+            let padded = |i: usize| parameters[empty].get(i % POSE_VALUES).copied().unwrap_or(0.0);
+            run.write(initial, &(0..self.views.len() * POSE_VALUES).map(padded).collect::<Vec<_>>())?;
         }
         for (view, planes) in self.gaussians.iter().zip(images.chunks(images.len() / self.views.len())) {
             let area = planes.len() / 3;

@@ -8,7 +8,7 @@ use crate::{
         Activation, Block, Epilogue, Ffn, Heads, HostParameter, Linear, Norm, ParameterLayout, Rows, Sequences, add,
         place_columns,
     },
-    stages::CameraArchitecture,
+    stages::{CameraArchitecture, POSE_ENCODING, POSE_VALUES},
 };
 
 const EPS: f32 = 1e-5;
@@ -28,9 +28,6 @@ pub(super) struct PoseHead {
 }
 
 impl PoseHead {
-    pub const ENCODING: usize = 9;
-    pub const PADDED: usize = Self::ENCODING.next_multiple_of(4);
-
     /// Always f32.
     pub fn new(p: &mut ParameterLayout, a: &CameraArchitecture, width: usize) -> Self {
         let root = &a.root;
@@ -39,22 +36,22 @@ impl PoseHead {
             Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.hidden), EPS)
         };
         p.exactly(|p| Self {
-            empty: p.host(&format!("{root}.empty_pose_tokens"), &[1, 1, Self::ENCODING]),
-            embed: p.linear(&format!("{root}.embed_pose"), Self::ENCODING, width),
+            empty: p.host(&format!("{root}.empty_pose_tokens"), &[1, 1, POSE_ENCODING]),
+            embed: p.linear(&format!("{root}.embed_pose"), POSE_ENCODING, width),
             modulation: p.linear(&format!("{root}.poseLN_modulation.1"), width, 3 * width),
             token_norm: p.norm(&format!("{root}.token_norm"), width, EPS),
             trunk: (0..a.depth).map(|i| block(p, i)).collect(),
             trunk_norm: p.norm(&format!("{root}.trunk_norm"), width, EPS),
             fc1: p.linear(&format!("{root}.pose_branch.fc1"), width, a.pose_hidden),
-            fc2: p.linear(&format!("{root}.pose_branch.fc2"), a.pose_hidden, Self::ENCODING),
+            fc2: p.linear(&format!("{root}.pose_branch.fc2"), a.pose_hidden, POSE_ENCODING),
         })
     }
 
     /// Each pass modulates the same tokens by the encodings so far.
     pub fn record(&self, rec: &mut Recorder, tokens: Rows) -> CameraTensors {
         let views = tokens.count;
-        let initial = rec.input::<[f32; Self::PADDED]>("poses", views);
-        let given = Rows::new(initial, views, Self::PADDED);
+        let initial = rec.input::<[f32; POSE_VALUES]>("poses", views);
+        let given = Rows::new(initial, views, POSE_VALUES);
         let token = self.token_norm.apply(rec, tokens, Element::F32);
         rec.observe("cam/tokens", token.tensor);
         let mut encodings: Option<Rows> = None;

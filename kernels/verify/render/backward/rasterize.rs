@@ -1,5 +1,8 @@
 use crate::prelude::*;
-use zipsplat::kernels::{limits::TILE, render::RasterizeBackward};
+use zipsplat::{
+    gpu::Tensor,
+    kernels::{limits::TILE, render::RasterizeBackward},
+};
 use zipsplat_reference::render::{
     backward::{Ellipse, through_pixel},
     project::MIN_ALPHA,
@@ -73,6 +76,31 @@ impl Splat {
 
 pub(crate) fn tiles() -> [usize; 2] {
     [WIDTH, HEIGHT].map(|side| side.div_ceil(TILE) as usize)
+}
+
+/// Lists of all splats in every tile.
+pub(crate) struct Lists {
+    pub pair_indices: Tensor,
+    pub tile_offsets: Tensor,
+    pub tile_sets: Tensor,
+    pub slots: Tensor,
+}
+
+impl Lists {
+    pub fn record(trial: &mut Trial<'_>, count: u32) -> Self {
+        let [columns, rows] = tiles().map(|side| side as u32);
+        let tiles = columns * rows;
+        let all: Vec<u32> = (0..tiles).flat_map(|_| 0..count).collect();
+        let multiples = |last: u32, of: u32| (0..=last).map(|i| i * of).collect::<Vec<u32>>();
+        // All tiles, without a mask.
+        let sets: Vec<[u32; 3]> = vec![[0, columns | rows << 16, 0]; count as usize];
+        Self {
+            pair_indices: trial.input(&all),
+            tile_offsets: trial.input(&multiples(tiles, count)),
+            tile_sets: trial.input(&sets),
+            slots: trial.input(&multiples(count, tiles)),
+        }
+    }
 }
 
 pub(crate) fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
@@ -213,21 +241,16 @@ impl Values for Problem {
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
         let mut trial = Trial::new(device);
         let ([columns, rows], count) = (tiles(), self.splats.len() as u32);
-        let tiles = (columns * rows) as u32;
-        let all: Vec<u32> = (0..tiles).flat_map(|_| 0..count).collect();
-        let lists: Vec<u32> = (0..=tiles).map(|tile| tile * count).collect();
-        // All tiles, without a mask.
-        let sets: Vec<[u32; 3]> = vec![[0, columns as u32 | (rows as u32) << 16, 0]; count as usize];
-        let starts: Vec<u32> = (0..=count).map(|splat| splat * tiles).collect();
+        let lists = Lists::record(&mut trial, count);
         let of = |values: &dyn Fn(&Splat) -> [f32; 3]| self.splats.iter().map(values).collect::<Vec<_>>();
         let depths: Vec<f32> = self.splats.iter().map(|splat| splat.depth).collect();
-        let capacity = (count * tiles) as usize;
+        let capacity = count as usize * columns * rows;
         let (moments, d_values) = (trial.output::<[f32; 6]>(capacity), trial.output::<[f32; 4]>(capacity));
         let kernel = RasterizeBackward {
-            pair_indices: trial.input(&all),
-            tile_offsets: trial.input(&lists),
-            tile_sets: trial.input(&sets),
-            slots: trial.input(&starts),
+            pair_indices: lists.pair_indices,
+            tile_offsets: lists.tile_offsets,
+            tile_sets: lists.tile_sets,
+            slots: lists.slots,
             xy_opacities: trial.input(&of(&|splat| [splat.place[0], splat.place[1], splat.opacity])),
             conics: trial.input(&of(&|splat| splat.conic)),
             colors: trial.input(&of(&|splat| splat.color)),

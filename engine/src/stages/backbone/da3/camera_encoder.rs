@@ -1,8 +1,7 @@
-use super::super::transformer::POSE_ENCODING;
 use crate::{
     gpu::{Element, Recorder, Tensor},
     ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
-    stages::CameraArchitecture,
+    stages::{CameraArchitecture, POSE_ENCODING},
 };
 
 const EPS: f32 = 1e-5;

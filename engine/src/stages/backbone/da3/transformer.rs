@@ -1,7 +1,7 @@
 use super::{
     super::{
         positions::{interpolate, rotary_tables},
-        transformer::{POSE_ENCODING, POSE_VALUES, SpecialTokens, Transformer, place_tokens},
+        transformer::{SpecialTokens, Transformer, place_tokens},
     },
     camera_encoder::CameraEncoder,
 };
@@ -10,7 +10,8 @@ use crate::{
     gpu::{Recorder, Run, Tensor},
     kernels::backbone as kernels,
     ops::{Block, Heads, HostParameter, Linear, ParameterLayout, Parameters, Rotary, Rows},
-    stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
+    stages::{BackboneArchitecture, POSE_ENCODING, POSE_VALUES, Reference, ViewGrid, embed_patches},
+    types::resample::cubic,
 };
 
 const EPS: f32 = 1e-6;
@@ -172,12 +173,10 @@ pub fn interpolate_positions(learned: &[f32], side: usize, width: usize, rows: u
 
 fn taps(side: usize, count: usize) -> Vec<Vec<(usize, f64)>> {
     let scale = (count as f64 + OFFSET) / side as f64;
-    let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;
-    let far = |u: f64| ((A * u - 5.0 * A) * u + 8.0 * A) * u - 4.0 * A;
     let one = |i: usize| {
         let source = (i as f64 + 0.5) / scale - 0.5;
         let t = source - source.floor();
-        let weights = [far(t + 1.0), near(t), near(1.0 - t), far(2.0 - t)];
+        let weights = [t + 1.0, t, 1.0 - t, 2.0 - t].map(|x| cubic(x, A));
         let index = |k: usize| (source.floor() as i64 - 1 + k as i64).clamp(0, side as i64 - 1) as usize;
         [0, 1, 2, 3].map(|k| (index(k), weights[k])).into()
     };

@@ -3,13 +3,14 @@
 
 use super::{
     positions::{Taps, interpolate, rotary_table},
-    transformer::{POSE_ENCODING, SpecialTokens, Transformer, place_tokens},
+    transformer::{SpecialTokens, Transformer, place_tokens},
 };
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
     ops::{Block, Heads, HostParameter, Linear, Norm, ParameterLayout, Parameters, Rotary, Rows},
-    stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
+    stages::{BackboneArchitecture, POSE_ENCODING, Reference, ViewGrid, embed_patches},
+    types::resample::cubic,
 };
 
 const REGISTERS: usize = 4;
@@ -160,15 +161,10 @@ pub fn interpolate_antialiased(learned: &[f32], side: usize, width: usize, rows:
 fn taps(side: usize, count: usize) -> Taps {
     let scale = side as f64 / count as f64;
     let spread = scale.max(1.0);
-    let kernel = |d: f64| match d {
-        ..1.0 => ((A + 2.0) * d - (A + 3.0)) * d * d + 1.0,
-        ..2.0 => ((A * d - 5.0 * A) * d + 8.0 * A) * d - 4.0 * A,
-        _ => 0.0,
-    };
     let one = |i: usize| {
         let center = scale * (i as f64 + 0.5);
         let [first, end] = [-2.0, 2.0].map(|side| (center + side * spread + 0.5).max(0.0) as usize);
-        let weight = |j: usize| (j, kernel(((j as f64 + 0.5 - center) / spread).abs()));
+        let weight = |j: usize| (j, cubic((j as f64 + 0.5 - center) / spread, A));
         let mut taps: Vec<_> = (first..end.min(side)).map(weight).collect();
         let total: f64 = taps.iter().map(|(_, weight)| weight).sum();
         taps.iter_mut().for_each(|(_, weight)| *weight /= total);
