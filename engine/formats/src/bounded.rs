@@ -100,7 +100,7 @@ fn check(photo: &Image, bound: u32) -> Result<()> {
     if (PATCH..=8192).contains(&bound) {
         return Ok(());
     }
-    Err(Error::argument("input size", bound, format!("{PATCH} to 8192 pixels")))
+    Err(Error::argument("longest side", bound, format!("{PATCH} to 8192 pixels")))
 }
 
 /// Rounds as OpenCV: means in f32, interpolation in fixed point, exact in f64.
