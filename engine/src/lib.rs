@@ -78,7 +78,7 @@ pub use ops::Precision;
 pub use reconstruct::{Model, ModelOptions, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection};
 pub use refine::{Photos, RefineLength, RefineOptions, RefineResult, refine_scene};
 pub use stages::render::{Depth, RenderOptions, RenderOutput, Renderer};
-pub use types::{Camera, Edit, EditReport, Image, Intrinsics, Pose, SaveOptions, Scene, poses::Capture};
+pub use types::{Camera, Edit, EditReport, Edited, Image, Intrinsics, Pose, SaveOptions, Scene, poses::Capture};
 pub use zipsplat_error::{Error, Result};
 #[doc(inline)]
 pub use zipsplat_formats as types;

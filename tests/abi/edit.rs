@@ -14,14 +14,17 @@ fn edited(
     scenes: &[&Object<zs_scene>],
     edits: &[zs_edit],
     cameras: &[zs_camera],
-) -> Result<(Scene, Vec<usize>), zs_status> {
+) -> Result<(Scene, Vec<usize>, Vec<usize>), zs_status> {
     let handles: Vec<*const zs_scene> = scenes.iter().map(|scene| scene.handle.cast_const()).collect();
     let mut counts = vec![usize::MAX; edits.len()];
-    let (e, c, n) = (edits.as_ptr(), cameras.as_ptr(), counts.as_mut_ptr());
+    let mut sources = vec![usize::MAX; scenes.iter().map(|scene| read(scene).len()).sum()];
+    let (e, c, n, s) = (edits.as_ptr(), cameras.as_ptr(), counts.as_mut_ptr(), sources.as_mut_ptr());
     let scene = Object::try_new(zs_scene_destroy, |out| unsafe {
-        zs_scene_edit(handles.as_ptr(), handles.len(), e, edits.len(), c, cameras.len(), n, out)
+        zs_scene_edit(handles.as_ptr(), handles.len(), e, edits.len(), c, cameras.len(), n, s, out)
     })?;
-    Ok((read(&scene), counts))
+    let scene = read(&scene);
+    sources.truncate(scene.len());
+    Ok((scene, counts, sources))
 }
 
 #[test]
@@ -45,7 +48,7 @@ fn edits_equal_the_engines_and_count() {
         edit(ZS_EDIT_SORT, &[]),
         edit(ZS_EDIT_LEVEL, &[]),
     ];
-    let (found, counts) = edited(&[&first, &second], &edits, &[zs_camera::from(&camera)]).expect("a scene");
+    let (found, counts, sources) = edited(&[&first, &second], &edits, &[zs_camera::from(&camera)]).expect("a scene");
     let engine: Vec<Edit> = edits
         .iter()
         .map(|edit| {
@@ -54,9 +57,9 @@ fn edits_equal_the_engines_and_count() {
             Edit::new(name, &edit.numbers[..count]).expect("a valid edit")
         })
         .collect();
-    let (expected, reports) = Scene::concat(a, b).expect("alike").edit(&engine, &[camera]).expect("a scene");
-    assert_eq!(found, expected);
-    assert_eq!(counts, reports.iter().map(|report| report.after).collect::<Vec<_>>());
+    let expected = Scene::concat(a, b).expect("alike").edit(&engine, &[camera]).expect("a scene");
+    assert_eq!((found, sources), (expected.scene, expected.sources));
+    assert_eq!(counts, expected.reports.iter().map(|report| report.after).collect::<Vec<_>>());
     assert!(counts.last().is_some_and(|count| (1..150).contains(count)), "{counts:?}");
 }
 
@@ -78,7 +81,7 @@ fn invalid_edits_name_the_field() {
     let one = [scene.handle.cast_const()];
     let edit = |scenes, count, edits, edit_count| {
         Object::try_new(zs_scene_destroy, |out| unsafe {
-            zs_scene_edit(scenes, count, edits, edit_count, null(), 0, null_mut(), out)
+            zs_scene_edit(scenes, count, edits, edit_count, null(), 0, null_mut(), null_mut(), out)
         })
     };
     refused(edit(null(), 1, null(), 0), ZS_ERROR_ARGUMENT, &["scenes", "NULL"]);

@@ -57,6 +57,33 @@ fn masks_and_clicks_select_an_object() {
 }
 
 #[test]
+fn features_stay_aligned_through_edits() {
+    let folder = Folder::new();
+    objects(&folder);
+    picture(&folder, "labels/a.png", [2, 1]);
+    let cameras = "--cameras @/cameras.json";
+    folder.run(&format!("lift @/scene.ply @/labels --labels 3 {cameras} -o @/labels.safetensors")).success();
+    let features = "--features @/labels.safetensors";
+    let left = |scene: &Scene| scene.means.iter().filter(|mean| mean[0] < 0.0).count();
+    // Formats with an order of their own, and rounded values.
+    for name in ["edited.ply", "edited.spz", "edited.sog", "edited.splat"] {
+        let edits = "--crop-box -2,-2,0,1.05,2,9 --decimate 0.7 --sort";
+        folder.run(&format!("edit @/scene.ply {features} {edits} -o @/{name} --overwrite")).success();
+        let edited = Scene::open(folder.path(name)).expect("a scene");
+        assert!(left(&edited) < 100 && edited.len() < 150);
+        let at = "--at 16,32 --view a.png --features @/edited.safetensors";
+        let json = folder.run(&format!("select @/{name} {at} {cameras} -o @/left.ply --overwrite --json")).json();
+        assert_eq!(json["selected"], left(&edited), "{name}");
+        assert_eq!(left(&Scene::open(folder.path("left.ply")).expect("a scene")), left(&edited), "{name}");
+    }
+    let both = "edit @/scene.ply @/scene.ply -o @/both.ply";
+    folder.run(&format!("{both} {features}")).fails(3, &["--features", "1 file", "2 scenes"]);
+    folder.run(&format!("{both} {features} @/labels.safetensors")).success();
+    let at = "select @/both.ply --at 48,32 --view a.png --features @/both.safetensors";
+    assert_eq!(folder.run(&format!("{at} {cameras} -o @/right.ply --json")).json()["selected"], 200);
+}
+
+#[test]
 fn invalid_selections_and_values_name_themselves() {
     let folder = Folder::new();
     let scene = objects(&folder);

@@ -279,7 +279,7 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         let (status, scene) = get(&format!("{path}scene/0"), "");
         let scene = Scene::decode(&scene, None).expect("a scene");
         let file = Scene::open(folder.path("scene.ply")).expect("a scene");
-        assert!(status == 200 && scene == file.edit(&[Edit::Sort], &[]).expect("a scene").0);
+        assert!(status == 200 && scene == file.edit(&[Edit::Sort], &[]).expect("a scene").scene);
         let (status, photo) = get(&format!("{path}photo/1"), "");
         assert!(status == 200 && photo.starts_with(b"\xff\xd8"), "a JPEG");
 

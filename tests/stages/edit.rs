@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use zipsplat::{
-    Camera, Edit, Pose, Scene,
+    Camera, Edit, Edited, Pose, Scene,
     types::{Intrinsics, mean_up, sh_rotation},
 };
 use zipsplat_tests::scenes::random_scene;
@@ -12,16 +12,21 @@ fn edit(name: &str, numbers: &[f64]) -> Edit {
 }
 
 fn edited(scene: &Scene, edits: &[Edit]) -> Scene {
-    scene.edit(edits, &[]).expect("a scene").0
+    scene.edit(edits, &[]).expect("a scene").scene
 }
 
 fn centers(scene: &Scene) -> Vec<DVec3> {
     scene.means.iter().map(|mean| DVec3::from(mean.map(f64::from))).collect()
 }
 
+fn of(scene: &Scene, sources: &[usize]) -> Scene {
+    let mut found = scene.clone();
+    found.keep(sources);
+    found
+}
+
 fn kept(scene: &Scene, hold: impl Fn(usize) -> bool) -> Scene {
-    let mut kept = scene.clone();
-    kept.keep(&(0..scene.len()).filter(|i| hold(*i)).collect::<Vec<_>>());
+    let kept = of(scene, &(0..scene.len()).filter(|i| hold(*i)).collect::<Vec<_>>());
     assert!(!kept.is_empty() && kept.len() < scene.len(), "{} of {}", kept.len(), scene.len());
     kept
 }
@@ -57,8 +62,9 @@ fn selections_keep_exactly_the_gaussians_that_fulfill_them() {
         (edit("min-views", &[2.0]), kept(&scene, |i| seen(i) >= 2)),
     ];
     for (edit, expected) in cases {
-        let (found, reports) = scene.edit(&[edit], &cameras).expect("a scene");
+        let Edited { scene: found, sources, reports } = scene.edit(&[edit], &cameras).expect("a scene");
         assert_eq!(found, expected, "{}", edit.name());
+        assert_eq!(of(&scene, &sources), expected, "{}", edit.name());
         let [report] = &reports[..] else { panic!("{reports:?}") };
         assert_eq!((report.edit, report.before, report.after), (edit.name(), 500, expected.len()));
         assert!(report.effect.starts_with(&format!("{} ", 500 - expected.len())), "{}", report.effect);
@@ -74,8 +80,8 @@ fn edits_apply_in_order_and_move_the_cameras_too() {
     let cameras = [camera(DVec3::new(0.3, 0.1, 0.0), 0.3)];
     let (moves, views) =
         ([edit("translate", &[1.0, 2.0, 3.0]), edit("rotate", &[10.0, 20.0, 30.0]), grow], edit("min-views", &[1.0]));
-    let first = scene.edit(&[&[views], &moves[..]].concat(), &cameras).expect("a scene").0;
-    let last = scene.edit(&[&moves[..], &[views]].concat(), &cameras).expect("a scene").0;
+    let first = scene.edit(&[&[views], &moves[..]].concat(), &cameras).expect("a scene").scene;
+    let last = scene.edit(&[&moves[..], &[views]].concat(), &cameras).expect("a scene").scene;
     assert_eq!(first, last);
     assert!(first.len() < scene.len());
 }
@@ -113,7 +119,7 @@ fn level_turns_the_cameras_mean_up_to_minus_y() {
         })
         .collect();
     let up = mean_up(&cameras).expect("an up");
-    let level = scene.edit(&[edit("level", &[])], &cameras).expect("a scene").0;
+    let level = scene.edit(&[edit("level", &[])], &cameras).expect("a scene").scene;
     let turn = DQuat::from_rotation_arc(up, DVec3::NEG_Y);
     for (before, after) in centers(&scene).into_iter().zip(centers(&level)) {
         assert!((turn * before).distance(after) < 1e-5);
@@ -189,7 +195,11 @@ fn decimation_merges_near_gaussians_of_one_color() {
 fn decimation_merges_to_the_count_and_repeats_bit_for_bit() {
     let scene = random_scene(1000, 1, 0.2);
     for (number, count) in [(1000.0, 1000), (999.0, 999), (0.25, 250), (7.0, 7), (5000.0, 1000)] {
-        let (found, reports) = scene.edit(&[edit("decimate", &[number])], &[]).expect("a scene");
+        let Edited { scene: found, mut sources, reports } =
+            scene.edit(&[edit("decimate", &[number])], &[]).expect("a scene");
+        sources.sort_unstable();
+        sources.dedup();
+        assert_eq!(sources.len(), count);
         assert_eq!(found.len(), count);
         assert!(reports[0].effect.starts_with(&format!("{} merged", 1000 - count)), "{}", reports[0].effect);
         assert_eq!(found, edited(&scene, &[edit("decimate", &[number])]));
@@ -200,6 +210,13 @@ fn decimation_merges_to_the_count_and_repeats_bit_for_bit() {
     let single = edited(&doubled, &[edit("decimate", &[40.0])]);
     let at = |scene: &Scene| scene.means.clone();
     assert_eq!(at(&single), at(&random_scene(40, 1, 0.05)));
+    // The most visible of a pair is its source, also after a sort.
+    doubled.opacities[..20].iter_mut().for_each(|opacity| *opacity *= 0.99);
+    let sorted = doubled.edit(&[edit("decimate", &[40.0]), edit("sort", &[])], &[]).expect("a scene");
+    let mut sources = sorted.sources.clone();
+    sources.sort_unstable();
+    assert_eq!(sources, (20..60).collect::<Vec<_>>());
+    assert_eq!(at(&sorted.scene), at(&of(&doubled, &sorted.sources)));
 }
 
 #[test]
@@ -218,7 +235,7 @@ fn clean_drops_floaters_and_keeps_the_rest() {
     for (cameras, expected) in
         [(&[][..], [false, true, false, true, true]), (&cameras, [false, true, false, false, true])]
     {
-        let (found, reports) = clean(cameras);
+        let Edited { scene: found, reports, .. } = clean(cameras);
         let kept = [faint, large, alone, behind, beside].map(|i| found.means.contains(&scene.means[i]));
         assert_eq!(kept, expected, "{reports:?}");
         assert!(found.len() > 1900, "{reports:?}");

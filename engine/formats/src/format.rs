@@ -13,11 +13,13 @@ pub(super) struct Format {
     pub view_dependence: bool,
     /// Whether [`Scene::antialiased`] is stored.
     pub antialiased: bool,
+    /// Order of the Gaussians in a file, if it is not the scene's.
+    pub order: Option<fn(&Scene) -> Vec<usize>>,
     /// Reads a scene; callers validate its values.
     pub read: fn(Source<'_>) -> Result<Scene>,
     /// Reads the line of [`World::parse`], if the format can store a world.
     pub world: Option<ReadLine>,
-    /// Prepares a valid scene for writing; errors here leave the file untouched.
+    /// Prepares a valid scene, in the file's order, for writing; errors here leave the file untouched.
     pub write: for<'a> fn(&'a Scene, &SaveOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 

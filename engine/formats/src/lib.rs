@@ -38,7 +38,7 @@ pub use camera::{
     unit_quaternion,
 };
 pub use color_transform::ColorTransform;
-pub use edit::{Edit, EditReport};
+pub use edit::{Edit, EditReport, Edited};
 pub use file::{Unfinished, open_file, remove_stale, write_atomic};
 pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};
 pub use format::SaveOptions;

@@ -1,5 +1,6 @@
 //! Scene files: a module and a row of the table below per format.
 
+use std::borrow::Cow;
 use std::io::Read;
 use std::path::Path;
 
@@ -108,6 +109,11 @@ impl SceneFormat {
         self.format().antialiased
     }
 
+    /// Returns the Gaussians in the order of a file, if the format has its own.
+    pub fn order(self, scene: &Scene) -> Option<Vec<usize>> {
+        self.format().order.map(|order| order(scene))
+    }
+
     /// Returns true if the format can store the scene's world: all but `.splat` and SPZ version 4.
     pub fn keeps_world(self, options: &SaveOptions) -> bool {
         self.format().world.is_some() && !(self == Self::Spz && options.spz_version == 4)
@@ -166,16 +172,23 @@ impl Scene {
         let format = SceneFormat::of_extension(path)
             .ok_or_else(|| Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS))?;
         self.validate()?;
-        write_atomic(path, (format.format().write)(self, options, world)?)
+        write_atomic(path, (format.format().write)(&self.in_order_of(format), options, world)?)
     }
 
     /// Encodes the file of [`Scene::save`].
     pub fn encode(&self, format: SceneFormat, options: &SaveOptions) -> Result<Vec<u8>> {
         self.validate()?;
         let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
-        let written = (format.format().write)(self, options, None)?(&mut bytes);
+        let written = (format.format().write)(&self.in_order_of(format), options, None)?(&mut bytes);
         written.map_err(|source| Error::io(name, source))?;
         Ok(bytes)
+    }
+
+    fn in_order_of(&self, format: SceneFormat) -> Cow<'_, Self> {
+        let Some(order) = format.order(self) else { return Cow::Borrowed(self) };
+        let mut ordered = self.clone();
+        ordered.keep(&order);
+        Cow::Owned(ordered)
     }
 }
 

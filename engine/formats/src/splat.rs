@@ -12,6 +12,7 @@ pub(super) const FORMAT: Format = Format {
     marks: &[],
     view_dependence: false,
     antialiased: false,
+    order: Some(order),
     read: read_unchecked,
     world: None,
     write: encoder,
@@ -24,12 +25,16 @@ fn sh_constant() -> f32 {
     0.5 * FRAC_1_PI.sqrt()
 }
 
-/// Orders the largest and most opaque Gaussians first, for progressive viewers.
-fn encoder<'a>(scene: &'a Scene, _: &SaveOptions, _: Option<&World>) -> Result<Encoder<'a>> {
+/// The largest and most opaque Gaussians first, for progressive viewers.
+fn order(scene: &Scene) -> Vec<usize> {
     let importance = |i: usize| scene.scales[i].map(f64::from).iter().product::<f64>() * f64::from(scene.opacities[i]);
     let mut order: Vec<usize> = (0..scene.len()).collect();
     order.sort_by(|&a, &b| importance(b).total_cmp(&importance(a)));
-    Ok(Box::new(move |out| order.iter().try_for_each(|&i| out.write_all(&encode(scene, i)))))
+    order
+}
+
+fn encoder<'a>(scene: &'a Scene, _: &SaveOptions, _: Option<&World>) -> Result<Encoder<'a>> {
+    Ok(Box::new(move |out| (0..scene.len()).try_for_each(|i| out.write_all(&encode(scene, i)))))
 }
 
 fn encode(scene: &Scene, i: usize) -> [u8; ROW] {

@@ -8,6 +8,38 @@ use std::iter::zip;
 const NEIGHBORS: usize = 8;
 
 impl Lifted {
+    /// Returns the features of a scene's Gaussians after edits or reordering: `sources` are those
+    /// that they were. Features of tokens become those of the tokens' Gaussians.
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    pub fn of(&self, sources: &[usize]) -> Self {
+        let Features { values, channels, group } = &self.features;
+        let rows = sources.iter().map(|i| i / group);
+        let values = rows.clone().flat_map(|row| &values[row * channels..][..*channels]).copied().collect();
+        let features = Features { values, channels: *channels, group: 1 };
+        Self { features, weights: rows.map(|row| self.weights[row]).collect() }
+    }
+
+    /// Appends the features of a scene's Gaussians that follow.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for another number of channels.
+    pub fn append(&mut self, other: &Self) -> Result<()> {
+        let (own, others) = (self.features.channels, other.features.channels);
+        if others != own {
+            return Err(Error::argument("features to append", others, format!("{own} channels")));
+        }
+        // Scenes of other tokens have one row per Gaussian together.
+        if other.features.group != self.features.group {
+            *self = self.of(&(0..self.weights.len() * self.features.group).collect::<Vec<_>>());
+            return self.append(&other.of(&(0..other.weights.len() * other.features.group).collect::<Vec<_>>()));
+        }
+        self.features.values.extend(&other.features.values);
+        self.weights.extend(&other.weights);
+        Ok(())
+    }
+
     /// Returns the Gaussians whose values of one channel are at least `least` and whose weight is
     /// at least `pixels`, such as those inside a lifted mask.
     pub fn at_least(&self, channel: usize, least: f32, pixels: f32) -> Vec<usize> {

@@ -1,5 +1,6 @@
 use crate::{
     cameras::to_scene,
+    lifted,
     options::SceneInput,
     outputs::{self, Overwrite, size_of},
     session::Session,
@@ -10,8 +11,9 @@ use indicatif::HumanCount;
 use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::{
-    Camera, Edit as Operation, Error, Result, SaveOptions, Scene,
-    types::{World, poses::Capture, read_world},
+    Camera, Edit as Operation, Edited, Error, Result, SaveOptions, Scene,
+    features::Lifted,
+    types::{SceneFormat, World, poses::Capture, read_world},
 };
 
 /// Clean, crop, move, merge and shrink scenes
@@ -24,6 +26,7 @@ use zipsplat::{
   zipsplat edit scene.ply --clean -o clean.ply
   zipsplat edit scene.ply --cameras transforms.json --min-views 2 --clean -o clean.ply
   zipsplat edit scene.ply --crop-sphere 0,0,2,1.5 --decimate 0.5 --sort -o small.spz
+  zipsplat edit scene.ply --features features.safetensors --clean -o clean.ply
   zipsplat edit left.ply right.ply --min-opacity 0.05 --sh-degree 0 -o both.ply
   zipsplat edit scene.ply --cameras transforms.json --level --scale 2 -o level.glb")]
 pub struct Edit {
@@ -45,6 +48,10 @@ pub struct Edit {
     /// cameras' world]
     #[arg(long, value_name = "PHOTO", requires = "cameras")]
     relative_to: Option<PathBuf>,
+    /// Features of the scenes, of `lift`, one file each: writes those of the edited scene beside it,
+    /// as .safetensors
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    features: Vec<PathBuf>,
     #[command(flatten)]
     edits: Edits,
 }
@@ -119,11 +126,23 @@ impl Edit {
         if let Some(edit) = edits.iter().find(|edit| edit.needs_cameras() && self.cameras.is_none()) {
             return Err(Error::argument(format!("--{}", edit.name()), "no cameras", "--cameras FILE"));
         }
-        let (scene, dropped, world) = self.merged(session)?;
+        let features_file = self.output.with_extension("safetensors");
+        if !self.features.is_empty() {
+            self.overwrite.check_file(&features_file)?;
+        }
+        let (scene, features, dropped, world) = self.merged(session)?;
         let cameras = self.cameras(session, world.as_ref())?;
-        let ((edited, reports), _) = session.stage("edit", |_| scene.edit(edits, &cameras))?;
+        let (Edited { scene: edited, mut sources, reports }, _) =
+            session.stage("edit", |_| scene.edit(edits, &cameras))?;
         let world = world.filter(|_| !edits.iter().any(Operation::moves));
         session.notes(outputs::save_scene(&self.output, &edited, &SaveOptions::default(), world.as_ref())?);
+        if let Some(features) = features {
+            if let Some(order) = SceneFormat::of_extension(&self.output).and_then(|format| format.order(&edited)) {
+                sources = order.iter().map(|i| sources[*i]).collect();
+            }
+            // Formats round values: the hash is that of the scene as read.
+            lifted::save(&features_file, &features.of(&sources), &Scene::open(&self.output)?)?;
+        }
         let written = size_of(&self.output)?;
         let json = json!({
             "output": self.output, "gaussians": edited.len(), "input_gaussians": scene.len(), "dropped": dropped,
@@ -138,12 +157,20 @@ impl Edit {
         session.report(&json, if edits.is_empty() { text } else { format!("{text}\n{table}") })
     }
 
-    /// Reads the scenes. Their world is kept if all have the same.
-    fn merged(&self, session: &mut Session<'_>) -> Result<(Scene, usize, Option<World>)> {
+    /// Reads the scenes and their features. Their world is kept if all have the same.
+    fn merged(&self, session: &mut Session<'_>) -> Result<(Scene, Option<Lifted>, usize, Option<World>)> {
+        if !self.features.is_empty() && self.features.len() != self.scenes.len() {
+            let expected = format!("one for each of {}", counted(self.scenes.len(), "scene"));
+            return Err(Error::argument("--features", counted(self.features.len(), "file"), expected));
+        }
         let (mut merged, mut dropped) = self.input.read(session, &self.scenes[0])?;
+        let mut features = self.features.first().map(|path| lifted::open(path, &merged)).transpose()?;
         let mut world = read_world(&self.scenes[0])?;
-        for path in &self.scenes[1..] {
+        for (i, path) in self.scenes.iter().enumerate().skip(1) {
             let (scene, invalid) = self.input.read(session, path)?;
+            if let Some(merged) = &mut features {
+                merged.append(&lifted::open(&self.features[i], &scene)?)?;
+            }
             if read_world(path)?.map(|world| world.origin) != world.as_ref().map(|world| world.origin.clone()) {
                 let first = self.scenes[0].display();
                 session.note(format!("{} states another world than {first}: merged as they are", path.display()));
@@ -152,7 +179,7 @@ impl Edit {
             merged = Scene::concat(merged, scene)?;
             dropped += invalid;
         }
-        Ok((merged, dropped, world))
+        Ok((merged, features, dropped, world))
     }
 
     fn cameras(&self, session: &mut Session<'_>, world: Option<&World>) -> Result<Vec<Camera>> {

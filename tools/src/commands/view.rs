@@ -122,7 +122,7 @@ impl View {
             let (scene, _) = self.input.read(session, path)?;
             // A served page draws the first Gaussians while others arrive. Tokens need the order.
             let sorts = self.output.is_none() && self.gaussians_per_token.is_none();
-            scenes.push(if sorts { scene.edit(&[Edit::Sort], &[])?.0 } else { scene });
+            scenes.push(if sorts { scene.edit(&[Edit::Sort], &[])?.scene } else { scene });
         }
         let shown = |path: &PathBuf| {
             let bytes = size_of(path)?;

@@ -598,7 +598,9 @@ typedef struct zs_edit {
 // Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in
 // order. `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN;
 // edits that move the scene move them, too. `gaussian_counts` is NULL or gets the number of
-// Gaussians after each edit. Edits that leave none fail.
+// Gaussians after each edit. `sources` is NULL or gets, for each Gaussian of the result, the
+// index of the one that it was among those of `scenes` together; of several merged, the most
+// visible. It needs room for all of them. Edits that leave none fail.
 zs_status zs_scene_edit(const struct zs_scene *const *scenes,
                         size_t scene_count,
                         const struct zs_edit *edits,
@@ -606,6 +608,7 @@ zs_status zs_scene_edit(const struct zs_scene *const *scenes,
                         const struct zs_camera *cameras,
                         size_t camera_count,
                         size_t *gaussian_counts,
+                        size_t *sources,
                         struct zs_scene **scene);
 
 /*************/

@@ -6,7 +6,7 @@ use super::{
     scene::zs_scene,
     status::{Failure, zs_status},
 };
-use zipsplat::{Camera, Edit, Scene};
+use zipsplat::{Camera, Edit, Edited, Scene};
 
 /// Kind of an edit, with its numbers. Lengths are in world units.
 #[repr(i32)]
@@ -75,7 +75,9 @@ impl zs_edit {
 /// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in
 /// order. `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN;
 /// edits that move the scene move them, too. `gaussian_counts` is NULL or gets the number of
-/// Gaussians after each edit. Edits that leave none fail.
+/// Gaussians after each edit. `sources` is NULL or gets, for each Gaussian of the result, the
+/// index of the one that it was among those of `scenes` together; of several merged, the most
+/// visible. It needs room for all of them. Edits that leave none fail.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_edit(
     scenes: *const *const zs_scene,
@@ -85,6 +87,7 @@ pub unsafe extern "C" fn zs_scene_edit(
     cameras: *const zs_camera,
     camera_count: usize,
     gaussian_counts: *mut usize,
+    sources: *mut usize,
     scene: *mut *mut zs_scene,
 ) -> zs_status {
     let edit = || {
@@ -106,17 +109,21 @@ pub unsafe extern "C" fn zs_scene_edit(
         }
         let joined = |scene, other: &&zs_scene| Scene::concat(scene, Scene::clone(&other.scene));
         let merged = others.iter().try_fold(Scene::clone(&first.scene), joined)?;
-        let (edited, reports) = merged.edit(&edits, &cameras)?;
+        let Edited { scene, sources: found, reports } = merged.edit(&edits, &cameras)?;
         if !gaussian_counts.is_null() {
             for (i, report) in reports.iter().enumerate() {
                 // SAFETY: the caller has a number for each edit there.
                 unsafe { gaussian_counts.add(i).write(report.after) };
             }
         }
+        if !sources.is_null() {
+            // SAFETY: the caller has room for the Gaussians of all scenes there.
+            unsafe { std::ptr::copy_nonoverlapping(found.as_ptr(), sources, found.len()) };
+        }
         let origin = |scene: &zs_scene| scene.world.as_ref().map(|world| world.origin.clone());
         let is_kept = scenes.iter().all(|scene| origin(scene) == origin(first)) && !edits.iter().any(Edit::moves);
         let dropped = scenes.iter().map(|scene| scene.dropped).sum();
-        Ok(zs_scene { world: first.world.clone().filter(|_| is_kept), dropped, ..edited.into() })
+        Ok(zs_scene { world: first.world.clone().filter(|_| is_kept), dropped, ..scene.into() })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, edit) }

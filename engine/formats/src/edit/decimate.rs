@@ -9,7 +9,10 @@ use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::selection::{center, tree};
+use super::{
+    Edited,
+    selection::{center, tree},
+};
 use crate::{Scene, quaternion_from_matrix};
 
 const NEIGHBORS: usize = 16;
@@ -20,13 +23,13 @@ const COLOR: f64 = 0.4;
 /// Least standard deviation relative to the largest of a Gaussian.
 const FLATTEST: f64 = 1e-3;
 
-pub(super) fn decimate(scene: &mut Scene, count: usize) -> String {
-    let before = scene.len();
-    while scene.len() > count {
-        let most = (scene.len() - count).min(((scene.len() as f64 * ROUND) as usize).max(1));
-        merge(scene, most);
+pub(super) fn decimate(edited: &mut Edited, count: usize) -> String {
+    let before = edited.scene.len();
+    while edited.scene.len() > count {
+        let left = edited.scene.len();
+        merge(edited, (left - count).min(((left as f64 * ROUND) as usize).max(1)));
     }
-    format!("{} merged into neighbors", before - scene.len())
+    format!("{} merged into neighbors", before - edited.scene.len())
 }
 
 /// A Gaussian with its visibility.
@@ -62,7 +65,8 @@ fn cost(a: &Blob, b: &Blob) -> f64 {
 }
 
 /// Merges up to `most` disjoint pairs, at least one.
-fn merge(scene: &mut Scene, most: usize) {
+fn merge(edited: &mut Edited, most: usize) {
+    let scene = &mut edited.scene;
     let weights = scene.visibilities();
     let blobs: Vec<Blob> = (0..scene.len()).into_par_iter().map(|i| blob(scene, i, weights[i])).collect();
     let tree = tree(scene);
@@ -83,9 +87,12 @@ fn merge(scene: &mut Scene, most: usize) {
     for (_, i, j) in chosen {
         replace(scene, [i, j], [&blobs[i], &blobs[j]]);
         gone[j] = true;
+        if weights[j] > weights[i] {
+            edited.sources[i] = edited.sources[j];
+        }
     }
-    let kept: Vec<usize> = (0..scene.len()).filter(|i| !gone[*i]).collect();
-    scene.keep(&kept);
+    let kept: Vec<usize> = (0..gone.len()).filter(|i| !gone[*i]).collect();
+    edited.keep(&kept);
 }
 
 /// Replaces the first of two Gaussians by their union.

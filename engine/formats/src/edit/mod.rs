@@ -57,6 +57,17 @@ pub struct EditReport {
     pub effect: String,
 }
 
+/// A scene after edits.
+#[derive(Clone, Debug)]
+pub struct Edited {
+    /// The scene.
+    pub scene: Scene,
+    /// The Gaussian before the edits that each one was: of several merged, the most visible.
+    pub sources: Vec<usize>,
+    /// Effects of the edits, in order.
+    pub reports: Vec<EditReport>,
+}
+
 impl Edit {
     /// Name and numbers of each variant for [`Edit::new`], in the order of the variants.
     pub const FORMS: [(&str, &str); 14] = [
@@ -184,34 +195,51 @@ impl Scene {
         selection::connected(self, members, seeds, neighbors)
     }
 
-    /// Returns a copy after `edits`, in order, and each one's effect. `cameras` are in the scene's
+    /// Returns a copy after `edits`, in order. `cameras` are in the scene's
     /// world; edits that move the scene move them, too.
     ///
     /// # Errors
     /// [`Error::Argument`] for a scene that is invalid before or after, an edit that needs cameras
     /// without any, or one that leaves no Gaussian.
-    pub fn edit(&self, edits: &[Edit], cameras: &[Camera]) -> Result<(Self, Vec<EditReport>)> {
+    pub fn edit(&self, edits: &[Edit], cameras: &[Camera]) -> Result<Edited> {
         self.validate()?;
         if let Some(edit) = edits.iter().find(|edit| edit.needs_cameras() && cameras.is_empty()) {
             return Err(Error::argument(edit.name(), "no cameras", "one or more cameras in the scene's world"));
         }
-        let (mut scene, mut cameras, mut reports) = (self.clone(), cameras.to_vec(), Vec::new());
+        let sources = (0..self.len()).collect();
+        let (mut edited, mut cameras) =
+            (Edited { scene: self.clone(), sources, reports: Vec::new() }, cameras.to_vec());
         for edit in edits {
-            let before = scene.len();
-            let effect = scene.apply(edit, &mut cameras)?;
-            if scene.is_empty() && before > 0 {
+            let before = edited.scene.len();
+            let effect = edited.apply(edit, &mut cameras)?;
+            if edited.scene.is_empty() && before > 0 {
                 let found = format!("no Gaussian of {before} left: {effect}");
                 return Err(Error::argument(edit.name(), found, "one or more"));
             }
-            reports.push(EditReport { edit: edit.name(), before, after: scene.len(), effect });
+            edited.reports.push(EditReport { edit: edit.name(), before, after: edited.scene.len(), effect });
         }
-        scene.validate()?;
-        Ok((scene, reports))
+        edited.scene.validate()?;
+        Ok(edited)
+    }
+
+    fn lower_degree(&mut self, degree: u32) {
+        if degree < self.sh_degree {
+            let (own, kept) = (self.sh_coeffs_per_gaussian(), (degree as usize + 1).pow(2));
+            self.sh_coeffs = self.sh_coeffs.chunks_exact(own).flat_map(|coeffs| &coeffs[..kept]).copied().collect();
+            self.sh_degree = degree;
+        }
+    }
+}
+
+impl Edited {
+    fn keep(&mut self, kept: &[usize]) {
+        self.scene.keep(kept);
+        self.sources = kept.iter().map(|i| self.sources[*i]).collect();
     }
 
     fn apply(&mut self, edit: &Edit, cameras: &mut [Camera]) -> Result<String> {
         if let Some((scale, pose)) = edit.placement(cameras)? {
-            self.place(scale, &pose);
+            self.scene.place(scale, &pose);
             cameras.iter_mut().for_each(|camera| *camera = camera.placed(scale, &pose));
             return Ok("moved".into());
         }
@@ -228,17 +256,17 @@ impl Scene {
             Edit::MinViews(count) => selection::views(self, cameras, count),
             Edit::Clean => selection::clean(self, cameras),
             Edit::ShDegree(degree) => {
-                let from = self.sh_degree;
-                self.lower_degree(degree);
-                format!("degree {from} to {}", self.sh_degree)
+                let from = self.scene.sh_degree;
+                self.scene.lower_degree(degree);
+                format!("degree {from} to {}", self.scene.sh_degree)
             }
             Edit::Decimate(count) => {
-                let whole = if count < 1.0 { (count * self.len() as f64).round() } else { count };
+                let whole = if count < 1.0 { (count * self.scene.len() as f64).round() } else { count };
                 decimate::decimate(self, (whole as usize).max(1))
             }
             Edit::Sort => {
-                let visibility = self.visibilities();
-                let mut order: Vec<usize> = (0..self.len()).collect();
+                let visibility = self.scene.visibilities();
+                let mut order: Vec<usize> = (0..self.scene.len()).collect();
                 order.sort_by(|a, b| visibility[*b].total_cmp(&visibility[*a]));
                 self.keep(&order);
                 "most visible first".into()
@@ -246,13 +274,5 @@ impl Scene {
             Edit::Translate(_) | Edit::Rotate(_) | Edit::Scale(_) | Edit::Level => unreachable!("a placement"),
         };
         Ok(dropped)
-    }
-
-    fn lower_degree(&mut self, degree: u32) {
-        if degree < self.sh_degree {
-            let (own, kept) = (self.sh_coeffs_per_gaussian(), (degree as usize + 1).pow(2));
-            self.sh_coeffs = self.sh_coeffs.chunks_exact(own).flat_map(|coeffs| &coeffs[..kept]).copied().collect();
-            self.sh_degree = degree;
-        }
     }
 }

@@ -4,6 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rstar::{RTree, primitives::GeomWithData};
 
+use super::Edited;
 use crate::{Camera, Scene};
 
 pub(super) type Tree = RTree<GeomWithData<[f64; 3], usize>>;
@@ -21,28 +22,28 @@ fn largest(scene: &Scene, i: usize) -> f64 {
     f64::from(scene.scales[i].into_iter().fold(0.0, f32::max))
 }
 
-pub(super) fn select(scene: &mut Scene, hold: impl Fn(usize, DVec3) -> bool + Sync, reason: &str) -> String {
-    let before = scene.len();
-    let kept: Vec<usize> = (0..before).into_par_iter().filter(|i| hold(*i, center(scene, *i))).collect();
+pub(super) fn select(edited: &mut Edited, hold: impl Fn(usize, DVec3) -> bool + Sync, reason: &str) -> String {
+    let before = edited.scene.len();
+    let kept: Vec<usize> = (0..before).into_par_iter().filter(|i| hold(*i, center(&edited.scene, *i))).collect();
     if kept.len() < before {
-        scene.keep(&kept);
+        edited.keep(&kept);
     }
     format!("{} {reason}", before - kept.len())
 }
 
-pub(super) fn opacity(scene: &mut Scene, least: f64) -> String {
-    let opacities = scene.opacities.clone();
-    select(scene, |i, _| f64::from(opacities[i]) >= least, &format!("with an opacity below {least}"))
+pub(super) fn opacity(edited: &mut Edited, least: f64) -> String {
+    let opacities = edited.scene.opacities.clone();
+    select(edited, |i, _| f64::from(opacities[i]) >= least, &format!("with an opacity below {least}"))
 }
 
-pub(super) fn size(scene: &mut Scene, most: f64) -> String {
-    let sizes: Vec<f64> = (0..scene.len()).map(|i| largest(scene, i)).collect();
-    select(scene, |i, _| sizes[i] <= most, &format!("larger than {most:.4}"))
+pub(super) fn size(edited: &mut Edited, most: f64) -> String {
+    let sizes: Vec<f64> = (0..edited.scene.len()).map(|i| largest(&edited.scene, i)).collect();
+    select(edited, |i, _| sizes[i] <= most, &format!("larger than {most:.4}"))
 }
 
-pub(super) fn neighbors(scene: &mut Scene, count: usize, radius: f64) -> String {
-    let near = neighbor_counts(scene, count, |_| radius);
-    select(scene, |i, _| near[i] >= count, &format!("with fewer than {count} neighbors within {radius:.4}"))
+pub(super) fn neighbors(edited: &mut Edited, count: usize, radius: f64) -> String {
+    let near = neighbor_counts(&edited.scene, count, |_| radius);
+    select(edited, |i, _| near[i] >= count, &format!("with fewer than {count} neighbors within {radius:.4}"))
 }
 
 /// Counts other centers within a radius, up to `most`.
@@ -53,9 +54,9 @@ fn neighbor_counts(scene: &Scene, most: usize, radius: impl Fn(usize) -> f64 + S
     (0..scene.len()).into_par_iter().map(|i| near(i).count() - 1).collect()
 }
 
-pub(super) fn views(scene: &mut Scene, cameras: &[Camera], count: usize) -> String {
+pub(super) fn views(edited: &mut Edited, cameras: &[Camera], count: usize) -> String {
     let hold = |_, at| cameras.iter().filter(|camera| camera.project(at).is_some()).take(count).count() == count;
-    select(scene, hold, &format!("in the pictures of fewer than {count} cameras"))
+    select(edited, hold, &format!("in the pictures of fewer than {count} cameras"))
 }
 
 /// Returns the members that `seeds` reach through nearest neighbors that are members, in order.
@@ -80,10 +81,10 @@ const CLEAN_OPACITY: f64 = 0.01;
 /// Relative to a Gaussian's largest standard deviation, which suits near and far ones.
 const CLEAN_RADIUS: f64 = 8.0;
 
-pub(super) fn clean(scene: &mut Scene, cameras: &[Camera]) -> String {
-    let mut effects = vec![opacity(scene, CLEAN_OPACITY)];
-    let near = neighbor_counts(scene, 1, |i| CLEAN_RADIUS * largest(scene, i));
-    effects.push(select(scene, |i, _| near[i] > 0, &format!("alone within {CLEAN_RADIUS} times their size")));
+pub(super) fn clean(edited: &mut Edited, cameras: &[Camera]) -> String {
+    let mut effects = vec![opacity(edited, CLEAN_OPACITY)];
+    let near = neighbor_counts(&edited.scene, 1, |i| CLEAN_RADIUS * largest(&edited.scene, i));
+    effects.push(select(edited, |i, _| near[i] > 0, &format!("alone within {CLEAN_RADIUS} times their size")));
     if !cameras.is_empty() {
         // Gaussians beside a picture reach into it.
         let doubled = |camera: &Camera| {
@@ -93,7 +94,7 @@ pub(super) fn clean(scene: &mut Scene, cameras: &[Camera]) -> String {
         };
         let doubled: Vec<Camera> = cameras.iter().map(doubled).collect();
         let hold = |_, at| doubled.iter().any(|camera| camera.project(at).is_some());
-        effects.push(select(scene, hold, "outside all pictures of twice the cameras' size"));
+        effects.push(select(edited, hold, "outside all pictures of twice the cameras' size"));
     }
     effects.join(", ")
 }

@@ -24,6 +24,7 @@ pub(super) const BINARY: Format = Format {
     marks: &[b"glTF"],
     view_dependence: true,
     antialiased: false,
+    order: None,
     read: read_unchecked,
     world: Some(read_line),
     write: write::binary,

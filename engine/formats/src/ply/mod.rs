@@ -24,6 +24,7 @@ pub(super) const FORMAT: Format = Format {
     marks: &[b"ply"],
     view_dependence: true,
     antialiased: true,
+    order: None,
     read: read_unchecked,
     world: Some(read_line),
     write: |scene, _, world| Ok(encoder(scene, &start(world))),

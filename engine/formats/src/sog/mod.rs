@@ -24,6 +24,7 @@ pub(super) const FORMAT: Format = Format {
     marks: &[],
     view_dependence: true,
     antialiased: true,
+    order: Some(order),
     read: read_unchecked,
     world: Some(read_line),
     write: encoder,
@@ -130,16 +131,13 @@ fn unlog(x: f64) -> f64 {
     x.signum() * x.abs().exp_m1()
 }
 
-/// Orders Gaussians along a Morton curve.
 fn encoder<'a>(scene: &'a Scene, _: &SaveOptions, world: Option<&World>) -> Result<Encoder<'a>> {
     let generator = World::line(world);
     Ok(Box::new(move |out| {
-        let mut ordered = scene.clone();
-        ordered.keep(&order(scene));
         let mut bytes = Cursor::new(Vec::new());
         let mut zip = ZipWriter::new(&mut bytes);
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
-        for (name, content) in encode(&ordered, &generator)? {
+        for (name, content) in encode(scene, &generator)? {
             zip.start_file(name, options)?;
             zip.write_all(&content)?;
         }

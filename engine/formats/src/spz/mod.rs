@@ -27,6 +27,7 @@ pub(super) const FORMAT: Format = Format {
     marks: &[&[0x1f, 0x8b], b"NGSP"],
     view_dependence: true,
     antialiased: true,
+    order: None,
     read: read_unchecked,
     world: Some(read_line),
     write: encoder,

@@ -80,6 +80,8 @@ class Scene:
         dropped_count: Number of Gaussians dropped by `drop_invalid`.
         refinement: Result of the refinement behind the scene; None without one.
         edit_counts: Number of Gaussians after each edit of `edit`; empty without one.
+        edit_sources: Index of the Gaussian before `edit` that each one was, of several merged the
+            most visible; `features[scene.edit_sources]` are this scene's. None without `edit`.
 
     The arrays are read-only views of library memory and keep it alive; to_numpy, to_torch and
     to_gsplat return copies.
@@ -90,6 +92,7 @@ class Scene:
     ) -> None:
         self._scene, self._device, self.refinement = handle, device, refinement
         self.edit_counts: list[int] = []
+        self.edit_sources: Optional[npt.NDArray[np.int64]] = None
         info, found = structure("scene_info"), structure("gaussians")
         call("zs_scene_get_info", handle, info)
         self.world: Optional[World] = _WORLDS.get(info.world)
@@ -281,8 +284,11 @@ class Scene:
         handles = ffi.new("zs_scene *[]", [scene._scene.pointer for scene in scenes])
         counts, views = ffi.new("size_t[]", max(len(pairs), 1)), native_cameras(cameras)
         arrays = (handles, len(scenes), given, len(pairs), views, len(views))
-        edited = Scene(Handle("scene", "zs_scene_edit", *arrays, counts), self._device)
+        sources = np.empty(sum(len(scene) for scene in scenes), np.uintp)
+        found = ffi.from_buffer("size_t[]", sources)
+        edited = Scene(Handle("scene", "zs_scene_edit", *arrays, counts, found), self._device)
         edited.edit_counts = list(counts)[: len(pairs)]
+        edited.edit_sources = sources[: len(edited)].astype(np.int64)
         return edited
 
     def lift(
