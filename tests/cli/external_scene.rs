@@ -131,7 +131,7 @@ fn depth(folder: &Folder, number: usize) -> Vec<f32> {
 
 #[test]
 fn a_gaussian_a_pixel_is_made_of_depth() {
-    let folder = Folder::new();
+    let folder = Folder::new().with_depth();
     folder.run("scene --seed 9 --views 8 --size 84x56 --splats -o @/place").success();
     let line = "eval @/place --views 4 --lpips none --from-depth @/place/depth";
     let json = folder.run(&format!("{line} --input-size 84x56 -o @/out --json")).json();
@@ -160,6 +160,17 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
         (json["gaussians"].as_u64().expect("a number"), psnr(&json))
     });
     assert!(small.0 <= 4 * 28 * 28 && whole.0 > 5 * small.0 && small.1 > whole.1 - 4.0, "{whole:?} {small:?}");
+    // The scene's unit by the same depth, and by a network's.
+    let found = folder.run(&format!("{line} --input-size 84x56 --scene-scale @/place/depth --json")).json();
+    let mut distances: Vec<f64> = made.means.iter().map(|mean| f64::from(glam::Vec3::from(*mean).length())).collect();
+    distances.sort_by(f64::total_cmp);
+    let median = distances[distances.len() / 2];
+    let scale = found["scene_scale"].as_f64().expect("a number");
+    assert!((scale / median - 1.0).abs() < 1e-4 && found["scene_scale_source"] == "depth", "{scale}, {median}");
+    assert!((psnr(&found) - psnr(&json)).abs() < 0.05, "the cameras have the unit, too");
+    let of_network = line.replace("--from-depth @/place/depth", "--weights @/micro.safetensors");
+    let found = folder.run(&format!("{of_network} --input-size 28x28 --scene-scale @/da3.safetensors --json")).json();
+    assert!(found["scene_scale"].as_f64().is_some_and(|scale| scale > 0.0) && found["scene_scale_source"] == "depth");
     let json = folder.run(&format!("{line} --input-size 28x28 --targets 1 --refine 2 --json")).json();
     assert_eq!((&json["refined"]["init"], &json["refined"]["steps"]), (&"the scene".into(), &2.into()));
     let refuses = |words: &[&str]| folder.run(&format!("{line} --input-size 28x28")).fails(3, words);

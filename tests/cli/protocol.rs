@@ -202,11 +202,86 @@ fn a_protocol_aligns_cameras() {
     assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
     folder.run(&format!("{line} --align hope -o @/d")).fails_usage();
     let by_default = format!("{} --align none -o @/e", line.replace("--lpips none", ""));
-    let missing = folder.run(&by_default).err.contains("LPIPS is missing");
-    assert_eq!(missing, lpips_weights(LpipsNetwork::Vgg).is_none());
+    match lpips_weights(LpipsNetwork::Vgg) {
+        Some(_) => drop(folder.run(&by_default).success()),
+        None => folder.run(&by_default).fails(3, &["--lpips", "lpips_vgg.safetensors", "--lpips none"]),
+    };
     std::fs::rename(folder.path("scenes/one.ply"), folder.path("scenes/two.ply")).expect("renamed");
     let outcome = folder.run(&format!("{line} -o @/d"));
     assert!(outcome.code == 1 && outcome.err.contains("one.ply"), "{}", outcome.err);
+}
+
+#[test]
+fn rows_depend_on_the_content_of_the_weights() {
+    let folder = Folder::new();
+    two_scenes(&folder);
+    let line = format!("{SERIES} {OPTIONS} --json");
+    assert_eq!(folder.run(&line).json()["evaluated"], 4);
+    let mut bytes = folder.read("micro.safetensors");
+    std::fs::write(folder.path("micro.safetensors"), &bytes).expect("written");
+    assert_eq!(folder.run(&line).json()["skipped"], 4);
+    *bytes.last_mut().expect("a byte") ^= 1;
+    std::fs::write(folder.path("micro.safetensors"), &bytes).expect("written");
+    assert_eq!(folder.run(&line).json()["evaluated"], 4);
+}
+
+#[test]
+fn several_ratios_and_selections_are_rows_of_their_own() {
+    let folder = Folder::new();
+    two_scenes(&folder);
+    let line = format!("{SERIES} {OPTIONS} --limit 100 --json");
+    let one = folder.run(&format!("{line} --ratio 0.5 --token-selection stride")).json();
+    let json = folder.run(&format!("{line} --ratios 1,0.5 --token-selections kmeans,stride")).json();
+    let means = json["means"].as_array().expect("means");
+    let line_of = |name: &str| means.iter().find(|line| line[0] == name).unwrap_or_else(|| panic!("{name}: {json}"));
+    for name in ["micro r=1 kmeans", "micro r=1 stride", "micro r=0.5 kmeans", "micro r=0.5 stride"] {
+        assert_eq!(line_of(name)[4], if name.contains("0.5") { "16" } else { "32" }, "{name}");
+    }
+    let cells = |line: &Value| line.as_array().expect("cells")[1..].to_vec();
+    assert_eq!(cells(&one["means"][0]), cells(line_of("micro r=0.5 stride")));
+    assert_eq!(json["evaluated"], 16);
+    folder.run(&format!("{SERIES} {OPTIONS} --ratio 1 --ratios 1")).fails_usage();
+}
+
+#[test]
+fn filter_and_source_size_are_those_of_tables_5_and_6() {
+    let folder = Folder::new();
+    place(&folder, 5);
+    let line =
+        "eval @/place --views 2 --targets 2 --weights @/micro.safetensors --input-size 28x28 --lpips none --json";
+    let run = |options: &str, out: &str| {
+        let json = folder.run(&format!("{line} {options} -o @/{out}")).json();
+        (json["mean"]["psnr"].as_f64().expect("dB"), folder.read(&format!("{out}/scene.ply")))
+    };
+    let [usual, lanczos, bilinear, source] = [
+        run("", "a"),
+        run("--filter lanczos", "b"),
+        run("--filter bilinear", "c"),
+        run("--filter lanczos --source-side 40", "d"),
+    ];
+    assert_eq!(usual, lanczos);
+    // Only the photos that are compared.
+    assert!(bilinear.0 != lanczos.0 && bilinear.1 == lanczos.1);
+    assert!(source.0 != lanczos.0 && source.1 != lanczos.1);
+    // The cameras follow the photos.
+    folder.run("scene --seed 9 --views 8 --size 84x56 --splats -o @/exact").success();
+    let exact = "eval @/exact --scene @/exact/splats.ply --views 2 --input-size 28x28 --lpips none --json";
+    let figure = |options: &str| folder.run(&format!("{exact} {options}")).json()["mean"]["psnr"].as_f64().expect("dB");
+    let [whole, smaller] = [figure(""), figure("--source-side 40")];
+    assert!(smaller > whole - 1.0, "{whole} and {smaller} dB");
+}
+
+#[test]
+fn tokens_are_refined_until_they_converge() {
+    let folder = Folder::new();
+    dl3dv(&folder, "data/one", &place(&folder, 5), 0.0);
+    let line = format!("{SERIES} {OPTIONS} --refine 2 --refine-target tokens --json");
+    let few = folder.run(&line).json();
+    let converged = folder.run(&format!("{line} --converge")).json();
+    let names: Vec<&Value> = converged["means"].as_array().expect("means").iter().map(|line| &line[0]).collect();
+    assert!(names.contains(&&json!("micro + TTO")) && names.contains(&&json!("micro + TTO, converged")), "{names:?}");
+    assert_eq!((&few["evaluated"], &converged["evaluated"]), (&json!(2), &json!(2)));
+    folder.run("eval @/data/one --views 2 --refine 1s --converge").fails(3, &["--converge", "a number of steps"]);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 use crate::Folder;
 use zipsplat::types::{Scene, write_ply};
-use zipsplat_tests::scenes;
+use zipsplat_tests::{architectures, scenes};
 
 const SIZE: u32 = 64;
 
@@ -54,6 +54,67 @@ fn masks_and_clicks_select_an_object() {
     assert_eq!(selected(&format!("--at 16,32 --view b.png {features}")).means, scene.means[..100]);
     assert_eq!(selected(&format!("--at 48,32 --view a.png {features}")).means, scene.means[100..]);
     assert_eq!(selected(&format!("--masks @/masks {features} --threshold 0.9")).means, scene.means[..100]);
+}
+
+/// Mean intersection over union of the labels that the pixels of `truth` have.
+fn mean_iou(found: &[u8], truth: &[u8]) -> f64 {
+    let counted = |label: u8| {
+        let pairs = found.iter().zip(truth).filter(|(_, truth)| **truth != 255);
+        let [mut both, mut either] = [0.0; 2];
+        for (found, truth) in pairs {
+            both += f64::from(u8::from(*found == label && *truth == label));
+            either += f64::from(u8::from(*found == label || *truth == label));
+        }
+        both / either
+    };
+    let mut labels: Vec<u8> = truth.iter().copied().filter(|label| *label != 255).collect();
+    labels.sort_unstable();
+    labels.dedup();
+    labels.iter().map(|label| counted(*label)).sum::<f64>() / labels.len() as f64
+}
+
+#[test]
+fn labels_of_some_photos_are_those_of_others() {
+    let folder = Folder::new();
+    folder.run("scene --seed 5 --views 12 --size 84x84 --splats -o @/place").success();
+    folder.make("labels");
+    for i in (0..12).step_by(2) {
+        let [from, to] = ["place/labels", "labels"].map(|part| folder.path(&format!("{part}/{i:03}.png")));
+        std::fs::copy(from, to).expect("copied");
+    }
+    let cameras = "--cameras @/place/transforms.json";
+    folder.run(&format!("lift @/place/splats.ply @/labels --labels 12 {cameras} -o @/labels.safetensors")).success();
+    let render = format!("render @/place/splats.ply {cameras} --features @/labels.safetensors -o @/out");
+    folder.run(&render).success();
+    let (mut found, mut truth) = (Vec::new(), Vec::new());
+    for i in (1..12).step_by(2) {
+        let bytes = folder.read(&format!("out/{i:03}.features.npy"));
+        assert!(String::from_utf8_lossy(&bytes[..128]).contains("(84, 84, 12)"));
+        let values: Vec<f32> = bytes[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        let largest = |row: &[f32]| (0..12).max_by(|a, b| row[*a].total_cmp(&row[*b])).expect("labels") as u8;
+        found.extend(values.chunks_exact(12).map(largest));
+        let labels = image::open(folder.path(&format!("place/labels/{i:03}.png"))).expect("labels").into_luma8();
+        truth.extend(labels.into_raw().into_iter().map(|label| if label < 12 { label } else { 255 }));
+    }
+    let iou = mean_iou(&found, &truth);
+    // Borders are a large part of such small pictures.
+    assert!(iou > 0.75, "{iou:.3}");
+}
+
+#[test]
+fn a_networks_patch_tokens_are_lifted() {
+    let folder = Folder::new();
+    folder.run("scene --seed 5 --views 4 --size 84x56 --splats -o @/place").success();
+    let line = "lift @/place/splats.ply --weights @/micro.safetensors --cameras @/place/transforms.json";
+    let json = folder.run(&format!("{line} --views 3 -o @/tokens.safetensors --json")).json();
+    let width = architectures::golden("micro").width;
+    assert_eq!((&json["photos"], &json["channels"]), (&3.into(), &width.into()));
+    let scene = Scene::open(folder.path("place/splats.ply")).expect("a scene");
+    assert_eq!(json["rows"], scene.len());
+    // The network sees the middle of each photo.
+    let seen = json["seen"].as_u64().expect("a number") as usize;
+    assert!(seen > scene.len() / 4 && seen < scene.len(), "{seen} of {}", scene.len());
+    folder.run(&format!("{line} --labels 3 -o @/x.safetensors")).fails_usage();
 }
 
 #[test]

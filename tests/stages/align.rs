@@ -1,6 +1,6 @@
 //! Pose search, against ZipSplat's authors.
 
-use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
+use zipsplat::{gpu::Arena, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 use zipsplat_cli::align::adam::Descent;
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{golden::lpips_weights, scenes::intrinsics};
@@ -10,10 +10,11 @@ fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>, step
     let mut renderer = Renderer::new(device());
     renderer.set_scene(&golden_scene(golden)).unwrap();
     let (starts, targets) = (golden.f64("init_c2w"), golden.f32("target"));
+    let arena = Arena::new(device());
     let pixels = targets.len() / 2;
     let descent = |(i, lens)| {
         let camera = Camera { intrinsics: lens, pose: scenes::pose(&starts[12 * i..][..12]) };
-        Descent::new(&renderer, &targets[i * pixels..][..pixels], &camera).unwrap()
+        Descent::new(&renderer, &arena, &targets[i * pixels..][..pixels], &camera).unwrap()
     };
     let mut descents: Vec<Descent> = intrinsics(golden).into_iter().enumerate().map(descent).collect();
     if lpips.is_none() {

@@ -1,7 +1,7 @@
 //! Captures: photos with cameras, split into inputs and targets.
 
 use crate::{
-    metrics::{self, mean_color, psnr, values},
+    metrics::{self, mean_color, median, psnr, values},
     photos,
     refinement::placed,
     session::Stage,
@@ -20,8 +20,8 @@ use zipsplat::{
     perceptual::Perceptual,
     stages::render::{RenderOptions, Renderer},
     types::{
-        Camera, ColorTransform, Image, Masks, PointCloud, Pose,
-        poses::{Capture, CaptureView, SceneScale, read_cloud},
+        Camera, ColorTransform, Image, Masks, PointCloud, Pose, Scene,
+        poses::{Capture, CaptureView, SceneScale, Source, read_cloud},
         resample::resize_lanczos,
     },
 };
@@ -172,8 +172,11 @@ impl Choice {
         masks.map_or(Ok(()), |masks| masks.check(&paths))?;
         let read = photos::read(&paths, &frames, masks, stage, |i, photo| {
             let label = format!("camera {i}");
-            let compared = posed(frames[i], &photo, seeing, &world, &label)?;
-            let seen = if i < count { seeing.views(&photo, &frames[i].camera, &label)? } else { Vec::new() };
+            let (photo, camera) = seeing.source(photo, frames[i].camera, &label)?;
+            let compared = posed(&frames[i].name, &photo, &camera, seeing, &world, &label)?;
+            let is_input = i < count;
+            let seen = is_input.then(|| seeing.crop.views(&photo, Some(&camera), seeing.size, &label));
+            let seen = seen.transpose()?.unwrap_or_default();
             Ok((compared, [photo.width, photo.height], seen))
         })?;
         let (mut inputs, mut sizes, mut seen) = (Vec::new(), Vec::new(), Vec::new());
@@ -196,6 +199,18 @@ pub fn scale_warning(scale: &SceneScale) -> Option<String> {
 }
 
 impl ViewSplit {
+    /// Changes the unit to the median distance of a scene's Gaussians from the first camera.
+    pub fn rescale_to(&mut self, scene: &Scene, origin: String) -> Result<()> {
+        let distances = scene.means.iter().map(|mean| DVec3::from(mean.map(f64::from)).length());
+        let length = median(distances).filter(|length| *length > 0.0);
+        let length =
+            length.ok_or_else(|| Error::argument("--scene-scale", "no depth above 0", "depth of the photos"))?;
+        let photos = self.inputs.iter_mut().chain(&mut self.targets).map(|photo| &mut photo.camera);
+        photos.chain(&mut self.views.cameras).for_each(|camera| camera.pose.translation /= length);
+        self.scene_scale = SceneScale { length: self.scene_scale.length * length, source: Source::Depth(origin) };
+        Ok(())
+    }
+
     pub fn notes(&self) -> impl Iterator<Item = String> {
         self.views.note.clone().into_iter().chain(scale_warning(&self.scene_scale))
     }
@@ -311,11 +326,11 @@ pub fn spread(k: usize) -> DVec3 {
     DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
-fn posed(frame: &CaptureView, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
+fn posed(name: &str, photo: &Image, camera: &Camera, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
     let view = seeing.compare(photo)?;
-    let camera = seen_through(&frame.camera, &view.map, label)?;
+    let camera = seen_through(camera, &view.map, label)?;
     let camera = Camera { pose: camera.pose.relative_to(world), ..camera };
-    Ok(Posed { name: frame.name.clone(), image: view.image, camera })
+    Ok(Posed { name: name.to_owned(), image: view.image, camera })
 }
 
 #[cfg(test)]

@@ -3,7 +3,9 @@
 use crate::{
     cameras::{Similarity, to_scene},
     npy,
+    options::{ArithmeticOption, Size, Weights},
     session::Session,
+    views::Crop,
 };
 use clap::Args;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
@@ -15,7 +17,12 @@ use std::{
 use zipsplat::{
     Camera, Error, Result, Scene,
     features::{Features, Lifted, PixelValues},
-    types::{Lens, World, named_after, poses::Capture, write_atomic},
+    reconstruct::ReconstructOptions,
+    types::{
+        Lens, World, named_after,
+        poses::{Capture, CaptureView},
+        write_atomic,
+    },
 };
 
 /// Largest side of the pictures that values are lifted from.
@@ -90,6 +97,37 @@ impl ValueFiles {
         let values = (0..values.len() / channels.max(1)).flat_map(|cell| at(cell).to_vec()).collect();
         Ok(PixelValues { width, height, channels, values })
     }
+}
+
+/// Returns a network's patch tokens of at most `views` photos, evenly spaced, and the cameras of
+/// what it sees of them.
+pub fn of_network(
+    session: &mut Session<'_>,
+    weights: &Weights,
+    views: usize,
+    photos: &PosedPhotos,
+    world: Option<&World>,
+) -> Result<(Vec<Camera>, Vec<PixelValues>)> {
+    let (capture, to_scene) = photos.open(session, world)?;
+    let mut frames: Vec<&CaptureView> = capture.frames.iter().filter(|frame| frame.photo.is_some()).collect();
+    let count = views.min(frames.len());
+    frames = (0..count).map(|i| frames[i * frames.len() / count]).collect();
+    let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
+    if paths.is_empty() {
+        return Err(Error::argument(photos.cameras.display().to_string(), "no photos", "the photos of the cameras"));
+    }
+    let checkpoint = weights.open()?;
+    let size = Size::or_best(None, &checkpoint);
+    let device = session.device()?;
+    let (_, arithmetic) = ArithmeticOption::default().choose(session, &device)?;
+    let (seen, _) = session.stage("load photos", |stage| Crop::Center.load(&paths, &frames, None, size, stage))?;
+    let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
+    let (features, _) = session.stage("features", |stage| {
+        model.features(&seen.images, &ReconstructOptions::default(), |progress| stage.follow(progress))
+    })?;
+    let first = frames[0].camera.pose;
+    let here = |camera: Camera| Camera { pose: first.compose(&camera.pose), ..camera };
+    Ok((seen.cameras.into_iter().map(|camera| to_scene.apply(&here(camera))).collect(), features.patch_tokens()?))
 }
 
 /// Reads `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or labels as

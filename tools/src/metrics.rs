@@ -1,8 +1,9 @@
 //! Image similarity: PSNR and SSIM as in scikit-image's `skimage.metrics`, and LPIPS.
 
 use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
 use zipsplat::{
-    Device, Result,
+    Device, Error, Result,
     perceptual::Perceptual,
     stages::lpips::LpipsNetwork,
     types::{Image, MASKED},
@@ -103,7 +104,7 @@ fn filter(values: &[f64], width: usize) -> Vec<f64> {
 #[derive(Args, Debug)]
 pub(crate) struct LpipsOption {
     /// Network of LPIPS; `python3 tools/lpips.py` downloads its weights [default: vgg if available,
-    /// else none]
+    /// else none; with --protocol vgg]
     #[arg(long, value_enum, value_name = "NETWORK")]
     lpips: Option<Network>,
 }
@@ -119,23 +120,29 @@ enum Network {
 }
 
 impl LpipsOption {
-    /// Loads the weights, with `gradients` or for the distance alone; `None` if they are missing
-    /// and were not requested.
-    pub fn open(&self, device: &Device, gradients: bool) -> Result<Option<Perceptual>> {
+    /// Finds the weights; `None` if they are missing and neither requested nor `required`.
+    pub fn file(&self, cache: Option<&Path>, required: bool) -> Result<Option<(LpipsNetwork, PathBuf)>> {
         let network = match self.lpips {
             Some(Network::None) => return Ok(None),
             Some(Network::Alex) => LpipsNetwork::Alex,
             Some(Network::Vgg) | None => LpipsNetwork::Vgg,
         };
-        match (Perceptual::file(network, device.cache_dir()), self.lpips) {
-            (Ok(path), _) => Perceptual::open(device, network, &path, gradients).map(Some),
-            (Err(error), Some(_)) => Err(error),
-            (Err(_), None) => Ok(None),
+        match Perceptual::file(network, cache) {
+            Ok(path) => Ok(Some((network, path))),
+            Err(error) if self.lpips.is_some() => Err(error),
+            Err(error) if required => Err(Error::argument("--lpips", error, "its weights, or --lpips none")),
+            Err(_) => Ok(None),
         }
     }
 
     pub fn is_default(&self) -> bool {
         self.lpips.is_none()
+    }
+
+    /// Loads [`LpipsOption::file`], with `gradients` or for the distance alone.
+    pub fn open(&self, device: &Device, gradients: bool, required: bool) -> Result<Option<Perceptual>> {
+        let found = self.file(device.cache_dir(), required)?;
+        found.map(|(network, path)| Perceptual::open(device, network, &path, gradients)).transpose()
     }
 }
 

@@ -7,8 +7,9 @@ use zipsplat::{Error, Result};
 const MAGIC: &[u8] = b"\x93NUMPY";
 const START: &str = "{'descr': '<f4', 'fortran_order': False, 'shape': (";
 
-pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
-    let header = format!("{START}{height}, {width}), }}");
+pub fn encode(shape: &[u32], values: &[f32]) -> Vec<u8> {
+    let sides = shape.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+    let header = format!("{START}{sides}), }}");
     let mut bytes = [MAGIC, b"\x01\x00\x76\x00"].concat();
     bytes.extend(format!("{header:<117}\n").bytes());
     bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
@@ -65,7 +66,7 @@ mod tests {
             std::fs::write(&path, bytes).expect("written");
             read(&path)
         };
-        let (values, bytes) = ([0.5, 1.0, -2.0, 3.0, 0.0, 7.5], encode([2, 3], &[0.5, 1.0, -2.0, 3.0, 0.0, 7.5]));
+        let (values, bytes) = ([0.5, 1.0, -2.0, 3.0, 0.0, 7.5], encode(&[2, 3], &[0.5, 1.0, -2.0, 3.0, 0.0, 7.5]));
         assert_eq!(read(&bytes).expect("a picture"), ([3, 2], values.to_vec()));
         assert!(read(&bytes[..bytes.len() - 4]).is_err_and(|error| error.to_string().contains("5 values for 2 x 3")));
         let wide: Vec<u8> = String::from_utf8_lossy(&bytes[10..128]).replace("<f4", "<f8").into_bytes();

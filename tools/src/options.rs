@@ -127,7 +127,7 @@ pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<
     if given { Err(Error::argument(option, found, format!("{expected}, which it is for"))) } else { Ok(()) }
 }
 
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct Quality {
     /// Fraction of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
@@ -185,7 +185,7 @@ impl SceneInput {
     }
 }
 
-#[derive(Args, Debug, Default)]
+#[derive(Args, Clone, Debug, Default)]
 pub struct ArithmeticOption {
     /// Precision of the network
     #[arg(long, value_enum, default_value = "auto")]

@@ -1,7 +1,7 @@
 //! Input stamps for skipping finished work.
 
 use sha2::{Digest, Sha256};
-use std::{path::Path, time::SystemTime};
+use std::{fs::File, path::Path, time::SystemTime};
 use zipsplat::{Error, Result};
 
 pub fn stamp(path: &Path) -> Result<String> {
@@ -11,13 +11,28 @@ pub fn stamp(path: &Path) -> Result<String> {
     Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
-pub fn stamp_of_weights(weights: &str) -> Result<String> {
-    let path = Path::new(weights);
-    if path.is_file() { stamp(path) } else { Ok(String::new()) }
+/// Returns the SHA-256 of a file, or of a folder's files; nothing for a name of weights.
+pub fn hash_of_weights(weights: &Path) -> Result<String> {
+    let mut hash = Sha256::new();
+    let mut files = vec![weights.to_owned()];
+    if weights.is_dir() {
+        let entries = weights.read_dir().map_err(|error| Error::io(weights, error))?;
+        files = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+        files.sort();
+    }
+    for file in files.iter().filter(|file| file.is_file()) {
+        let mut file = File::open(file).map_err(|error| Error::io(file, error))?;
+        std::io::copy(&mut file, &mut hash).map_err(|error| Error::io(weights, error))?;
+    }
+    Ok(hex(hash))
 }
 
 pub fn digest(parts: &[String]) -> String {
     let mut hash = Sha256::new();
     parts.iter().for_each(|part| hash.update(part));
+    hex(hash)
+}
+
+fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -39,7 +39,10 @@ pub struct Seeing {
     pub compared: Size,
     /// Compares whole photos at the scale of `compared`, not crops.
     pub whole: bool,
+    /// Of the compared photos.
     pub filter: Filter,
+    /// Shorter side that photos are scaled down to first.
+    pub source_side: Option<u32>,
 }
 
 pub struct Views {
@@ -126,17 +129,17 @@ impl Crop {
 
 impl Seeing {
     pub fn cropped(size: Size) -> Self {
-        Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos }
+        Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos, source_side: None }
     }
 
-    pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<NetworkInput>> {
-        match (self.crop, self.filter) {
-            (Crop::Center, Filter::Bilinear) => {
-                let View { image, map } = self.filter.cropped(photo, self.size.0, self.size.1)?;
-                Ok(vec![(image, Some(seen_through(camera, &map, label)?))])
-            }
-            _ => self.crop.views(photo, Some(camera), self.size, label),
-        }
+    /// Scales a photo with its camera down to [`Seeing::source_side`].
+    pub fn source(self, photo: Image, camera: Camera, label: &str) -> Result<(Image, Camera)> {
+        let side = photo.width.min(photo.height);
+        let Some(source) = self.source_side.filter(|source| *source < side) else { return Ok((photo, camera)) };
+        let scaled = |length: u32| (f64::from(length) * f64::from(source) / f64::from(side)).round() as u32;
+        let View { image, map } = Filter::Bilinear.whole(&photo, scaled(photo.width), scaled(photo.height))?;
+        let camera = seen_through(&camera, &map, label)?;
+        Ok((image, camera))
     }
 
     pub fn compare(self, photo: &Image) -> Result<View> {

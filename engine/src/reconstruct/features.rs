@@ -4,6 +4,7 @@ use super::{
 };
 use crate::{
     Result,
+    features::PixelValues,
     gpu::{Device, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
@@ -33,6 +34,18 @@ impl BackboneFeatures {
     /// Views and patches.
     pub fn grid(&self) -> ViewGrid {
         self.shape.grid
+    }
+
+    /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each view.
+    pub fn patch_tokens(&self) -> Result<Vec<PixelValues>> {
+        let ViewGrid { rows, columns, .. } = self.shape.grid;
+        let layer = &self.tensors.layers[0];
+        let values: Vec<f32> = self.memory.read(layer.tensor)?;
+        let view = |values: &[f32]| {
+            let (width, height) = (columns as u32, rows as u32);
+            PixelValues { width, height, channels: layer.width, values: values.to_vec() }
+        };
+        Ok(values.chunks_exact(rows * columns * layer.width).map(view).collect())
     }
 }
 

@@ -1,3 +1,5 @@
+use std::fmt;
+
 use crate::{
     Error, Result,
     ops::Pool,
@@ -36,6 +38,18 @@ pub enum TokenSelection {
     Random(u64),
     /// Explicit indices.
     Given(Vec<u32>),
+}
+
+impl fmt::Display for TokenSelection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kmeans(ROUNDS) => write!(f, "kmeans"),
+            Self::Kmeans(rounds) => write!(f, "kmeans:{rounds}"),
+            Self::Stride => write!(f, "stride"),
+            Self::Random(seed) => write!(f, "random:{seed}"),
+            Self::Given(indices) => write!(f, "{} indices", indices.len()),
+        }
+    }
 }
 
 impl TokenSelection {

@@ -25,32 +25,38 @@ const PATIENCE: usize = 5;
 const LPIPS: f64 = 0.05;
 const EPS: f64 = 1e-8;
 
-/// Takes at most 200 steps, and returns the last pose.
+/// Takes at most 200 steps, fewer if the mean loss of all photos stays, and returns the last poses.
 ///
 /// # Errors
 /// As [`super::align`].
 pub fn align(
     renderer: &mut Renderer,
-    photo: &Image,
-    camera: &Camera,
+    photos: &[(&Image, &Camera)],
     mut lpips: Option<&mut Perceptual>,
-    check: &dyn Fn() -> Result<()>,
-) -> Result<Aligned> {
-    let before = draw(renderer, camera)?;
-    let mut descent = Descent::new(renderer, &values(photo), camera)?;
+    reach: &dyn Fn(f64) -> Result<()>,
+) -> Result<Vec<Aligned>> {
+    let arena = Arena::new(renderer.device());
+    let descent = |(photo, camera): &(&Image, &Camera)| Descent::new(renderer, &arena, &values(photo), camera);
+    let mut descents = photos.iter().map(descent).collect::<Result<Vec<_>>>()?;
     let (mut last, mut flat) = (f64::INFINITY, 0);
-    for _ in 0..STEPS {
-        check()?;
-        let loss = descent.step(renderer, lpips.as_deref_mut())?;
+    for step in 0..STEPS {
+        let mut loss = 0.0;
+        for (i, descent) in descents.iter_mut().enumerate() {
+            reach((step as f64 + i as f64 / photos.len() as f64) / STEPS as f64)?;
+            loss += descent.step(renderer, lpips.as_deref_mut())? / photos.len() as f64;
+        }
         flat = if (loss - last).abs() < FLAT { flat + 1 } else { 0 };
         last = loss;
         if flat == PATIENCE {
             break;
         }
     }
-    let drawn = draw(renderer, &descent.camera)?;
-    let [turn, shift] = between(camera, &descent.camera).map(DVec3::length);
-    Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
+    let aligned = |((_, camera), Descent { camera: found, .. }): (&(&Image, &Camera), &Descent)| {
+        let [turn, shift] = between(camera, found).map(DVec3::length);
+        let (before, drawn) = (draw(renderer, camera)?, draw(renderer, found)?);
+        Ok(Aligned { camera: *found, drawn, before, turn, shift, doubt: None })
+    };
+    photos.iter().zip(&descents).map(aligned).collect()
 }
 
 pub struct Descent {
@@ -64,14 +70,15 @@ pub struct Descent {
 }
 
 impl Descent {
-    /// `truth` is the photo, `[height][width][rgb]`, at the camera's size.
+    /// `truth` is the photo, `[height][width][rgb]`, at the camera's size. Descents of one arena
+    /// share its memory.
     ///
     /// # Errors
     /// [`Error::Argument`] if the renderer has no scene.
-    pub fn new(renderer: &Renderer, truth: &[f32], camera: &Camera) -> Result<Self> {
+    pub fn new(renderer: &Renderer, arena: &Arena, truth: &[f32], camera: &Camera) -> Result<Self> {
         let scene =
             renderer.scene().ok_or_else(|| Error::argument("scene to align to", "none", "one that was loaded"))?;
-        let (scene, arena) = (scene.clone(), Arena::new(renderer.device()));
+        let (scene, arena) = (scene.clone(), arena.clone());
         let (camera, adam, truth) = (*camera, PoseAdam::default(), truth.to_vec());
         Ok(Self { camera, adam, truth, scene, arena, backward: None })
     }

@@ -45,36 +45,31 @@ pub enum Method {
     /// Least squares, coarse to fine, near the initial camera
     LevenbergMarquardt,
     /// Method of ZipSplat's authors: at most 200 steps of Adam, with LPIPS if its weights are
-    /// available, without a movement limit
+    /// available, all photos until their mean loss stays, without a movement limit
     Adam,
 }
 
 impl Method {
-    /// Returns the finished fraction at a step.
-    pub fn fraction(self, step: usize) -> f64 {
-        match self {
-            // The number of renderings depends on the content.
-            Self::LevenbergMarquardt => 0.0,
-            Self::Adam => (step as f64 / adam::STEPS as f64).min(1.0),
-        }
-    }
-
-    /// Only Adam uses LPIPS. `check` runs before each step.
+    /// Aligns all photos' cameras: one after the other, or by Adam in step, which alone uses LPIPS.
+    /// `reach` gets the finished fraction before each step.
     ///
     /// # Errors
     /// As [`align`].
     pub fn align(
         self,
         renderer: &mut Renderer,
-        photo: &Image,
-        camera: &Camera,
+        photos: &[(&Image, &Camera)],
         lpips: Option<&mut Perceptual>,
-        check: &dyn Fn() -> Result<()>,
-    ) -> Result<Aligned> {
-        match self {
-            Self::LevenbergMarquardt => align(renderer, photo, camera, check),
-            Self::Adam => adam::align(renderer, photo, camera, lpips, check),
+        reach: &dyn Fn(f64) -> Result<()>,
+    ) -> Result<Vec<Aligned>> {
+        if self == Self::Adam {
+            return adam::align(renderer, photos, lpips, reach);
         }
+        // The number of renderings depends on the content.
+        let fraction = |i: usize| i as f64 / photos.len() as f64;
+        let one =
+            |(i, (photo, camera)): (usize, &(&Image, &Camera))| align(renderer, photo, camera, &|| reach(fraction(i)));
+        photos.iter().enumerate().map(one).collect()
     }
 }
 

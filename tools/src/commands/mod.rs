@@ -28,9 +28,9 @@ pub enum Command {
     Lift(lift::Lift),
     Select(select::Select),
     Render(render::Render),
-    View(view::View),
+    View(Box<view::View>),
     Convert(convert::Convert),
-    Eval(eval::Eval),
+    Eval(Box<eval::Eval>),
     Bench(bench::Bench),
     Doctor(doctor::Doctor),
     #[command(hide = true)]

@@ -3,6 +3,7 @@ use crate::{
     cameras::CameraArgs,
     color,
     explain::Explanation,
+    lifted, npy,
     options::{SceneInput, Size, parse_length},
     outputs::{self, DEPTH_LEVELS, Overwrite},
     pictures::{self, SHEET, Sinks},
@@ -18,8 +19,9 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
+    features::{FeatureRenderer, Lifted},
     stages::render::{Depth, RenderOptions, Renderer},
-    types::{Camera, Scene, World, contact_sheet, read_world},
+    types::{Camera, Scene, World, contact_sheet, read_world, write_atomic},
 };
 
 /// Render a scene along a camera path
@@ -61,6 +63,9 @@ pub struct Render {
     /// Also write NNN.tokens.png: a color per token, which is N consecutive Gaussians
     #[arg(long, value_name = "N")]
     gaussians_per_token: Option<NonZeroU32>,
+    /// Also write NNN.features.npy: features of `lift`, f32 [height, width, channels]
+    #[arg(long, value_name = "FILE", requires = "output", conflicts_with = "point_size")]
+    features: Option<PathBuf>,
     /// Draw each Gaussian as an opaque dot of this width in the scene's unit
     #[arg(long, value_name = "SIZE", value_parser = parse_length)]
     point_size: Option<f64>,
@@ -113,7 +118,19 @@ impl Render {
         let load = |session: &mut Session<'_>, renderer: &mut Renderer| {
             session.stage("load scene", |_| renderer.set_scene(&scene)).map(drop)
         };
+        let features = self.features.as_ref().map(|path| lifted::open(path, &scene)).transpose()?;
         let (json, text) = self.draw(session, &mut renderer, &scene, dropped, world.as_ref(), load)?;
+        if let (Some(Lifted { features, .. }), Some(folder)) = (&features, self.folder()) {
+            let (cameras, _) = self.path.cameras(&scene, world.as_ref())?;
+            let mut drawer = FeatureRenderer::new(&device);
+            session.stage("features", |stage| {
+                stage.each(&cameras.iter().enumerate().collect::<Vec<_>>(), |(i, camera)| {
+                    let drawn = drawer.draw(&scene, features, &[**camera])?.remove(0);
+                    let bytes = npy::encode(&[drawn.height, drawn.width, drawn.channels as u32], &drawn.values);
+                    write_atomic(&folder.join(format!("{i:03}.features.npy")), |out| out.write_all(&bytes))
+                })
+            })?;
+        }
         session.report(&json, text)
     }
 

@@ -1,3 +1,5 @@
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3, Vec3A};
@@ -13,6 +15,8 @@ use super::survey::{self, Lens};
 use super::tone::Development;
 use super::world::{Hit, World};
 
+/// Label of the sky, and of surfaces beyond the largest 255.
+pub const OTHER: u8 = u8::MAX;
 /// Paths tried per place.
 const PATHS: usize = 20;
 const PLACES: u64 = 1000;
@@ -65,6 +69,9 @@ pub struct Capture {
     pub images: Vec<Image>,
     /// `[views][height][width]` z at pixel centers; 0 in the sky.
     pub depths: Vec<Vec<f32>>,
+    /// `[views][height][width]` surface at pixel centers: its rank by visible pixels in all views, at
+    /// most [`OTHER`], which is also the sky.
+    pub labels: Vec<Vec<u8>>,
     /// `[views][views]`: share of the first view's surfaces visible in the second.
     pub overlap: Vec<f32>,
 }
@@ -163,6 +170,7 @@ impl Setup {
             Camera { intrinsics, pose }
         };
         let cameras = poses.iter().map(camera).collect();
+        let labels = labels(&frames);
         let (lights, depths): (Vec<_>, Vec<_>) = frames.into_iter().map(|frame| (frame.light, frame.depth)).unzip();
         let develop = |(i, light)| Image {
             width: width as u32,
@@ -179,6 +187,7 @@ impl Setup {
             cameras,
             images: lights.into_par_iter().enumerate().map(develop).collect(),
             depths: depths.into_iter().map(scaled).collect(),
+            labels,
             overlap: self.overlap.clone(),
         })
     }
@@ -223,7 +232,9 @@ impl Setup {
         };
         let row = |y: usize| go_on().map(|()| (0..width).map(|x| pixel(x, y)).collect());
         let light = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<Vec3A>>>>()?.concat();
-        Ok(Frame { light, depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() })
+        let depth = rows.iter().flatten().map(|(_, depth)| *depth).collect();
+        let surface = rows.iter().flatten().map(|(hit, _)| hit.distance.map(|_| hit.surface())).collect();
+        Ok(Frame { light, depth, surface })
     }
 
     /// Returns color and z; `pixel` is the filter width in pixels.
@@ -239,6 +250,19 @@ impl Setup {
 struct Frame {
     light: Vec<Vec3A>,
     depth: Vec<f32>,
+    /// `None` in the sky.
+    surface: Vec<Option<u32>>,
+}
+
+fn labels(frames: &[Frame]) -> Vec<Vec<u8>> {
+    let mut pixels: BTreeMap<u32, usize> = BTreeMap::new();
+    let surfaces = frames.iter().flat_map(|frame| &frame.surface);
+    surfaces.flatten().for_each(|surface| *pixels.entry(*surface).or_default() += 1);
+    let mut order: Vec<u32> = pixels.keys().copied().collect();
+    order.sort_by_key(|surface| Reverse(pixels[surface]));
+    let ranks: BTreeMap<u32, u8> = order.into_iter().zip(0..OTHER).collect();
+    let label = |surface: &Option<u32>| surface.and_then(|surface| ranks.get(&surface).copied()).unwrap_or(OTHER);
+    frames.iter().map(|frame| frame.surface.iter().map(label).collect()).collect()
 }
 
 /// Shared exposure from few rays; `None` for dull, dark or overexposed views.

@@ -1,5 +1,6 @@
 use std::path::{Path, PathBuf};
 
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::json;
 use zipsplat::types::{poses::write_transforms, write_atomic, write_points};
 use zipsplat::{Error, Result};
@@ -23,21 +24,30 @@ fn depth(number: usize) -> String {
     format!("depth/{number:03}.npy")
 }
 
-/// Returns the files to check before overwriting. A folder of ours excludes depth, whose format has
-/// no author field.
+fn label(number: usize) -> String {
+    format!("labels/{number:03}.png")
+}
+
+/// Returns the files to check before overwriting. A folder of ours excludes depth and labels,
+/// which state no author.
 pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
     let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
     let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);
-    (0..views).map(photo).chain((0..depths).map(depth)).chain(fixed).map(|name| folder.join(name)).collect()
+    (0..views)
+        .map(photo)
+        .chain((0..depths).flat_map(|i| [depth(i), label(i)]))
+        .chain(fixed)
+        .map(|name| folder.join(name))
+        .collect()
 }
 
 /// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z, 0 in the sky),
-/// `transforms.json`, `points.ply` and `scene.json`. Removes surplus files.
+/// `labels/000.png`, `transforms.json`, `points.ply` and `scene.json`. Removes surplus files.
 ///
 /// # Errors
 /// [`Error::Io`].
 pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<()> {
-    for sub in ["images", "depth"] {
+    for sub in ["images", "depth", "labels"] {
         let path = folder.join(sub);
         std::fs::create_dir_all(&path).map_err(|source| Error::io(&path, source))?;
     }
@@ -45,11 +55,17 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     let names: Vec<String> = (0..count).map(photo).collect();
     for (i, (image, values)) in capture.images.iter().zip(&capture.depths).enumerate() {
         save_picture(&folder.join(&names[i]), image)?;
-        write_atomic(&folder.join(depth(i)), |out| out.write_all(&npy::encode([image.height, image.width], values)))?;
+        write_atomic(&folder.join(label(i)), |out| {
+            let encoder = PngEncoder::new(out);
+            let written = encoder.write_image(&capture.labels[i], image.width, image.height, ExtendedColorType::L8);
+            written.map_err(std::io::Error::other)
+        })?;
+        write_atomic(&folder.join(depth(i)), |out| out.write_all(&npy::encode(&[image.height, image.width], values)))?;
     }
     let ours = is_own(&folder.join(SCENE));
     remove_stale(&folder.join("images"), count, is_own)?;
     remove_stale(&folder.join("depth"), count, |path| ours && path.extension().is_some_and(|ext| ext == "npy"))?;
+    remove_stale(&folder.join("labels"), count, |path| ours && path.extension().is_some_and(|ext| ext == "png"))?;
     write_transforms(folder.join("transforms.json"), &capture.cameras, &names)?;
     write_points(folder.join("points.ply"), &points(capture))?;
     let scene = json!({

@@ -63,6 +63,13 @@ pub(super) struct Hit {
     pub region: u32,
 }
 
+impl Hit {
+    /// Number of the primitive.
+    pub fn surface(&self) -> u32 {
+        self.region >> 4
+    }
+}
+
 impl World {
     pub(super) fn new(primitives: Vec<Primitive>, light: Light, sky: Sky, room: Option<Room>) -> Self {
         Self { bvh: Bvh::new(&primitives), primitives, light, sky, room }

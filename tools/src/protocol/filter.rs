@@ -1,5 +1,6 @@
-//! Downscaling filters; the choice affects PSNR (table 6 of the paper).
+//! Downscaling filters of compared photos; the choice affects PSNR (table 6 of the paper).
 
+use clap::ValueEnum;
 use image::{ImageBuffer, Rgb, imageops};
 use zipsplat::{
     Error, Result,
@@ -9,7 +10,7 @@ use zipsplat::{
     },
 };
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Filter {
     /// Pillow's LANCZOS after the crop, as in every other command
     Lanczos,

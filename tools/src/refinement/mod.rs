@@ -33,6 +33,7 @@ use zipsplat::{
 
 pub const TOKENS: &str = "the network's tokens";
 
+#[derive(Clone, Copy)]
 pub enum Refinable<'a> {
     Scene(&'a Scene),
     Tokens(&'a FrozenHead, &'a SceneTokens),

@@ -32,6 +32,8 @@ pub enum Source {
     Given,
     /// Median distance of cloud points visible to the selected cameras.
     Points(PathBuf),
+    /// Median distance of pixels, by depth of this origin.
+    Depth(String),
     /// Distance of the point nearest to all optical axes.
     Axes,
     /// Root mean square of distances between cameras, for axes that do not converge.
@@ -70,7 +72,7 @@ impl SceneScale {
     /// Returns a warning unless the scale was given or measured.
     pub fn doubt(&self) -> Option<String> {
         match self.source {
-            Source::Given | Source::Points(_) => None,
+            Source::Given | Source::Points(_) | Source::Depth(_) => None,
             _ => Some(format!("no point cloud: {self}; a given scene scale is more certain")),
         }
     }
@@ -82,6 +84,7 @@ impl fmt::Display for SceneScale {
         match &self.source {
             Source::Given => write!(f, ", as given"),
             Source::Points(path) => write!(f, ", the median distance of the points of {}", path.display()),
+            Source::Depth(origin) => write!(f, ", the median distance of the pixels by {origin}"),
             Source::Axes => write!(f, ", the distance of the point that all cameras look at"),
             Source::Spread => write!(f, ", the distance between cameras, as they do not look at one point"),
             Source::Nothing => write!(f, ", as all cameras stand at one place"),
@@ -95,6 +98,7 @@ impl Source {
         match self {
             Self::Given => "given",
             Self::Points(_) => "points",
+            Self::Depth(_) => "depth",
             Self::Axes => "axes",
             Self::Spread => "spread",
             Self::Nothing => "nothing",

@@ -1,24 +1,28 @@
-use super::{Eval, alignment::Alignment};
+use super::{Eval, Scaling, alignment::Alignment};
 use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::DepthPredictor,
-    options::{Network as Weighed, refuse},
+    options::{Network as Weighed, Quality, refuse},
     refinement::{self, Initialization, Refinable, RefineTask},
+    released::open_depth,
     session::Session,
     views::Seeing,
 };
-use std::{cell::Cell, time::Duration};
+use std::{path::Path, time::Duration};
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
     ops::{Arithmetic, Precision},
     perceptual::Perceptual,
     reconstruct::Model,
-    refine::{FrozenHead, RefineResult, StopReason},
+    refine::{FrozenHead, RefineLength, RefineResult, StopReason},
     stages::render::Renderer,
     types::Scene,
     weights::Checkpoint,
 };
+
+/// Gain in dB that ends --converge.
+const CONVERGED: f64 = 0.1;
 
 pub struct Evaluator<'a> {
     pub(super) eval: &'a Eval,
@@ -29,6 +33,10 @@ pub struct Evaluator<'a> {
     arithmetic: Arithmetic,
     model: Option<Model>,
     pub(super) predictor: Option<DepthPredictor>,
+    /// For the scene scale.
+    scaler: Option<DepthPredictor>,
+    /// Of the scenes to come.
+    pub quality: Quality,
     renderer: Renderer,
     lpips: Option<Perceptual>,
 }
@@ -67,20 +75,34 @@ impl<'a> Evaluator<'a> {
     pub fn new(eval: &'a Eval, weights: &'a Weighed, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
         let device = session.device()?;
         let gradients = eval.aligning().is_some_and(|method| method == crate::align::Method::Adam);
-        let lpips = eval.lpips.open(&device, gradients)?;
+        let lpips = eval.lpips.open(&device, gradients, eval.series.protocol.is_some())?;
         let (precision, arithmetic) = eval.quality.arithmetic.choose(session, &device)?;
         let renderer = Renderer::new(&device);
-        let (model, predictor) = (None, None);
-        Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, predictor, renderer, lpips })
-    }
-
-    pub fn has_lpips(&self) -> bool {
-        self.lpips.is_some()
+        let (model, predictor, scaler, quality) = (None, None, None, eval.quality.clone());
+        Ok(Self {
+            eval,
+            weights,
+            seeing,
+            device,
+            precision,
+            arithmetic,
+            model,
+            predictor,
+            scaler,
+            quality,
+            renderer,
+            lpips,
+        })
     }
 
     pub fn evaluate(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Evaluation> {
         let (eval, seeing) = (self.eval, self.seeing);
-        let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.scene_scale, stage))?;
+        let by_depth = if let Some(Scaling::Depth(from)) = &eval.scene_scale { Some(from) } else { None };
+        let length = by_depth.map_or(eval.length(), |_| Some(1.0));
+        let (mut capture, _) = session.stage("load photos", |stage| choice.load(seeing, length, stage))?;
+        if let Some(from) = by_depth {
+            self.scale_by_depth(session, choice, &mut capture, from)?;
+        }
         capture.notes().for_each(|note| session.note(note));
         let reconstruction = match (eval.external.make(session, name, choice, &capture)?, self.weights) {
             (None, Weighed::Tokens(checkpoint)) => self.reconstruct(session, choice, &capture, checkpoint)?,
@@ -101,6 +123,31 @@ impl<'a> Evaluator<'a> {
             rows.zip(&scores).for_each(|(row, score)| row.lpips = score.lpips);
         }
         Ok(Evaluation { capture, reconstruction, drawn, scores, alignment })
+    }
+
+    fn scale_by_depth(
+        &mut self,
+        session: &mut Session<'_>,
+        choice: &Choice,
+        capture: &mut ViewSplit,
+        from: &str,
+    ) -> Result<()> {
+        let scene = if Path::new(from).is_dir() {
+            super::depth::scene(Path::new(from), choice, capture)?
+        } else {
+            let predictor = match self.scaler.take() {
+                Some(predictor) => predictor,
+                None => self.quality.predictor_options(&open_depth(from, false)?).open(session, &self.device)?,
+            };
+            let (predictor, frames) = (self.scaler.insert(predictor), choice.input_frames());
+            let (mut predicted, _) = session.stage("depth", |stage| {
+                let prepared = predictor.prepare(&choice.inputs(), &frames, choice.masks.as_ref(), stage)?;
+                predictor.predict(prepared, stage)
+            })?;
+            predicted.scale(false, choice.cloud())?;
+            predicted.scene(&frames[0].camera.pose, None)?
+        };
+        capture.rescale_to(&scene, from.to_owned())
     }
 
     fn refined(
@@ -132,18 +179,18 @@ impl<'a> Evaluator<'a> {
         capture: &ViewSplit,
         checkpoint: &Checkpoint,
     ) -> Result<Reconstruction> {
-        let eval = self.eval;
+        let (eval, quality) = (self.eval, &self.quality);
         if self.model.is_none() {
             self.model = Some(session.load_model(&self.device, checkpoint, self.arithmetic)?.0);
         }
         let model = self.model.as_ref().expect("it was loaded");
         let images = capture.images();
         let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
-        let request = eval.quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
+        let request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
         let ((result, tokens), took) = session.reconstruct(model, &images, &request, of_tokens)?;
         let mut scene = result.to_scene()?;
-        eval.quality.prune(&mut scene, checkpoint.architecture());
+        quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
         let mut started = refinement::TOKENS;
         let refined = match (eval.refine.steps(), &tokens) {
@@ -183,18 +230,9 @@ impl<'a> Evaluator<'a> {
             let picture = |view: &Posed| draw(renderer, &view.camera);
             return Ok((session.stage("compare", |stage| stage.each(targets, picture))?.0, None));
         };
-        let (found, _) = session.stage("align", |stage| {
-            let found = |(i, view): (usize, &Posed)| {
-                stage.name(&format!("align photo {} of {}", i + 1, targets.len()));
-                let steps = Cell::new(0);
-                let step = || {
-                    let part = method.fraction(steps.replace(steps.get() + 1));
-                    stage.reach((i as f64 + part) / targets.len() as f64)
-                };
-                method.align(renderer, &view.image, &view.camera, lpips.as_mut(), &step)
-            };
-            targets.iter().enumerate().map(found).collect::<Result<Vec<_>>>()
-        })?;
+        let photos: Vec<_> = targets.iter().map(|view| (&view.image, &view.camera)).collect();
+        let (found, _) = session
+            .stage("align", |stage| method.align(renderer, &photos, lpips.as_mut(), &|part| stage.reach(part)))?;
         let alignment = Alignment::new(capture, &found);
         Ok((found.into_iter().map(|found| found.drawn).collect(), Some(alignment)))
     }
@@ -209,10 +247,20 @@ fn refine(
     steps: RefineTask,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
-    let request = eval.refine.settings.request(steps);
-    let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
-    match refined.stop_reason {
-        Some(StopReason::Cancelled) => Err(Error::Cancelled),
-        _ => Ok(refined),
+    let mut request = eval.refine.settings.request(steps);
+    if eval.series.protocol.is_some() && steps.tokens {
+        // As in the paper's tables.
+        request.holdout_views = request.holdout_views.or(Some(0));
+    }
+    let mut best: Option<RefineResult> = None;
+    loop {
+        let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
+        let gain = best.as_ref().map_or(f64::INFINITY, |best| refined.training_psnr[0] - best.training_psnr[0]);
+        match (&refined.stop_reason, &mut request.length) {
+            (Some(StopReason::Cancelled), _) => return Err(Error::Cancelled),
+            (None, RefineLength::Steps(steps)) if eval.converge && gain >= CONVERGED => *steps *= 2,
+            _ => return Ok(if gain < 0.0 { best.unwrap_or(refined) } else { refined }),
+        }
+        best = Some(refined);
     }
 }

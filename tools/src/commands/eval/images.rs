@@ -54,7 +54,7 @@ impl ImageSets<'_> {
         let written = eval.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
         eval.overwrite.check_replaced(written)?;
         let device = session.device()?;
-        let mut lpips = eval.lpips.open(&device, false)?;
+        let mut lpips = eval.lpips.open(&device, false, false)?;
         if lpips.is_none() && eval.lpips.is_default() {
             session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
         }

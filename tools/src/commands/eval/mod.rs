@@ -25,7 +25,7 @@ use crate::{
 use clap::{Arg, Args, ValueEnum};
 use images::ImageSets;
 use std::{path::PathBuf, str::FromStr};
-use zipsplat::{Result, reconstruct::Shape, weights::Checkpoint};
+use zipsplat::{Result, reconstruct::Shape, refine::RefineLength, weights::Checkpoint};
 
 /// Default number of input photos.
 const VIEWS: u32 = 8;
@@ -112,17 +112,28 @@ pub struct Eval {
     /// Size of the compared pictures [default: that of --input-size]
     #[arg(long, value_name = "WxH")]
     eval_size: Option<Size>,
+    /// Downscaling filter of the compared photos [default: lanczos; with --protocol bilinear]
+    #[arg(long, value_enum, value_name = "FILTER")]
+    filter: Option<Filter>,
+    /// Scale photos down to this shorter side first, as the paper's table 5
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..))]
+    source_side: Option<u32>,
     #[command(flatten)]
     refine: RefineArgs,
+    /// Double the steps of --refine, from the start again, until the training PSNR gains less than
+    /// 0.1 dB
+    #[arg(long, requires = "refine")]
+    converge: bool,
     /// Perturb the input cameras except the first: rotate by this number of degrees, move by as
     /// many percent of the scene's distance
     #[arg(long, value_name = "DEGREES", default_value = "0")]
     pose_noise: f64,
-    /// Length of the network's unit in the cameras' unit [default: the median distance of the
-    /// capture's points from the first camera, else of the point that the cameras look at, else the
-    /// distance between cameras]
-    #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
-    scene_scale: Option<f64>,
+    /// Length of the network's unit in the cameras' unit; or the median distance of the input
+    /// photos' pixels from the first camera, by weights of Depth Anything 3 or a folder with
+    /// NAME.npy as --from-depth [default: the median distance of the capture's points, else of the
+    /// point that the cameras look at, else the distance between cameras]
+    #[arg(long, value_name = "LENGTH|WEIGHTS|DIR")]
+    scene_scale: Option<Scaling>,
     #[command(flatten)]
     lpips: LpipsOption,
     /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row per compared
@@ -144,6 +155,34 @@ pub struct Eval {
 
 fn for_known_cameras(arg: Arg) -> Arg {
     if arg.get_id() == "refine" { arg.conflicts_with("pose_free") } else { arg }
+}
+
+/// Source of the scene scale.
+#[derive(Clone, Debug)]
+enum Scaling {
+    Length(f64),
+    /// Weights or a folder.
+    Depth(String),
+}
+
+impl FromStr for Scaling {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match (text.parse::<f64>(), parse_length(text)) {
+            (Err(_), _) => Ok(Self::Depth(text.into())),
+            (Ok(_), length) => length.map(Self::Length),
+        }
+    }
+}
+
+impl Scaling {
+    fn length(&self) -> Option<f64> {
+        match self {
+            Self::Length(length) => Some(*length),
+            Self::Depth(_) => None,
+        }
+    }
 }
 
 /// `None` disables alignment.
@@ -189,16 +228,22 @@ impl Eval {
             Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
         };
         self.refine.check()?;
+        let timed = self.refine.steps().is_some_and(|task| matches!(task.length, RefineLength::Time(_)));
+        refuse("--converge", self.converge && timed, "a --refine of a time", "a number of steps")?;
         let other = self.aligning().is_some() || self.series.protocol.is_some();
         let given = self.finding.masks().is_some() && other;
         refuse("--masks", given, "aligned cameras or a --protocol", "a capture with known cameras")?;
         if self.external.given().is_none() {
             self.external.input.refuse("without --scene", "with --scene")?;
         }
-        let bilinear = self.series.protocol.is_some() && crop == Crop::Center;
-        let filter = if bilinear { Filter::Bilinear } else { Filter::Lanczos };
-        let compared = self.eval_size.unwrap_or(size);
-        Ok((network, Seeing { crop, size, compared, whole: self.full_images || crop == Crop::Tiles, filter }))
+        let usual = if self.series.protocol.is_some() { Filter::Bilinear } else { Filter::Lanczos };
+        let (filter, compared) = (self.filter.unwrap_or(usual), self.eval_size.unwrap_or(size));
+        let (whole, source_side) = (self.full_images || crop == Crop::Tiles, self.source_side);
+        Ok((network, Seeing { crop, size, compared, whole, filter, source_side }))
+    }
+
+    fn length(&self) -> Option<f64> {
+        self.scene_scale.as_ref().and_then(Scaling::length)
     }
 
     fn aligning(&self) -> Option<Method> {

@@ -43,7 +43,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         None => Choice::new(folder, views, targets).map_err(without_cameras)?,
     };
     choice.masks = eval.finding.masks();
-    choice.disturb(eval.pose_noise, eval.scene_scale)?;
+    choice.disturb(eval.pose_noise, eval.length())?;
     if let (None, Network::Tokens(checkpoint)) = (eval.external.given(), &weights) {
         eval.check_shape(checkpoint, seeing, &choice)?;
     }

@@ -43,7 +43,7 @@ impl Evaluator<'_> {
     ) -> Result<Reconstruction> {
         let predictor = match self.predictor.take() {
             Some(predictor) => predictor,
-            None => self.eval.quality.predictor_options(checkpoint).open(session, &self.device)?,
+            None => self.quality.predictor_options(checkpoint).open(session, &self.device)?,
         };
         let predictor = self.predictor.insert(predictor);
         let (inputs, pose_free) = (choice.input_frames(), self.eval.pose_free);
@@ -56,7 +56,7 @@ impl Evaluator<'_> {
         if !pose_free {
             predicted.scale(false, choice.cloud())?;
         }
-        let (first, keep) = (inputs[0].camera.pose, self.eval.quality.kept());
+        let (first, keep) = (inputs[0].camera.pose, self.quality.kept());
         let mut scene = predicted.scene(&Pose::IDENTITY, keep)?;
         let to_cameras = if pose_free {
             aligned(&Capture { frames: predicted.frames()?, ..Capture::default() }, &inputs)?.0

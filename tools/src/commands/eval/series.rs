@@ -1,16 +1,16 @@
 use super::{
-    Eval, TARGETS,
+    Eval, Scaling, TARGETS,
     evaluator::{Evaluation, Evaluator},
     page,
     rows::{self, Means, Row},
 };
 use crate::{
     capture::Score,
-    options::Network,
+    options::{Network, Quality, parse_ratio, parse_selection},
     outputs::{self, FAILURES, Failure, MADE_BY},
     protocol::{Place, Protocol, Setting},
     session::Session,
-    stamp::{digest, stamp, stamp_of_weights},
+    stamp::{digest, hash_of_weights, stamp},
     table::{Table, counted},
     views::Seeing,
 };
@@ -22,6 +22,8 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
+    gpu::cache_dir,
+    reconstruct::{Ratio, TokenSelection},
     types::{Image, contact_sheet, write_atomic},
 };
 
@@ -53,6 +55,14 @@ pub struct Options {
     /// Name of the method in the tables [default: that of the weights]
     #[arg(long, value_name = "NAME", requires = "protocol")]
     name: Option<String>,
+    /// Evaluate each of these --ratio in turn, a row each
+    #[arg(long, value_name = "R,..", value_delimiter = ',', requires = "protocol", value_parser = parse_ratio,
+        conflicts_with = "ratio")]
+    ratios: Vec<Ratio>,
+    /// Evaluate each of these --token-selection in turn, a row each
+    #[arg(long, value_name = "HOW,..", value_delimiter = ',', requires = "protocol", value_parser = parse_selection,
+        conflicts_with = "token_selection")]
+    token_selections: Vec<TokenSelection>,
     /// Largest number of scenes evaluated in this run
     #[arg(long, value_name = "N", requires = "protocol")]
     limit: Option<usize>,
@@ -85,28 +95,27 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     outputs::check_folder(out)?;
     let files = [SCENES, PAGE, FAILURES].into_iter().chain(TABLES).map(|name| out.join(name));
     eval.overwrite.check_replaced(files)?;
+    eval.lpips.file(cache_dir().as_deref(), true)?;
     let options = &eval.series;
     let settings = protocol.settings(&eval.views, &options.frame_range, &options.indices)?;
     let places = protocol.places(&eval.folders, options.images.as_deref())?;
     let (weights, seeing) = eval.begin(session)?;
     outputs::make_folder(out)?;
     let mut evaluator = Evaluator::new(eval, &weights, seeing, session)?;
-    if !evaluator.has_lpips() && eval.lpips.is_default() {
-        session.note(
-            "LPIPS is missing from pose alignment and from the table: `python3 tools/lpips.py` fetches its weights, \
-             and the next run evaluates these scenes again",
-        );
-    }
     let method = options.name.clone().unwrap_or_else(|| method_of(&weights, eval));
-    let way = digest(&[eval.settings_key(&weights, seeing, evaluator.precision.name())?]);
+    let key = eval.settings_key(&weights, seeing, &evaluator)?;
     let posed = if eval.pose_free { "free" } else { "posed" };
-    let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
-    let series = Series { eval, protocol, method, folder };
 
     // Failures of an earlier run.
     std::fs::remove_file(out.join(FAILURES)).ok();
-    let mut tally = Tally::default();
-    let ended = series.run(&places, &settings, &mut evaluator, &mut tally, session);
+    let (mut tally, mut ended) = (Tally::default(), Ok(()));
+    for (suffix, quality) in options.variants(&eval.quality) {
+        let (method, way) = (format!("{method}{suffix}"), digest(&[format!("{key} {quality:?}")]));
+        let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
+        evaluator.quality = quality;
+        let series = Series { eval, protocol, method, folder };
+        ended = ended.and_then(|()| series.run(&places, &settings, &mut evaluator, &mut tally, session));
+    }
     let rows = rows::read_all(out, protocol)?;
     let means = Means::of(protocol, &rows);
     outputs::save_csv(&out.join(SCENES), &rows)?;
@@ -122,7 +131,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
         session.end_with(1);
     }
     ended?;
-    series.report(session, out, &rows, &means, &tally)
+    report(session, out, protocol, &rows, &means, &tally)
 }
 
 impl Series<'_> {
@@ -177,13 +186,13 @@ impl Series<'_> {
         let Some(mut choice) = setting.choose(&place.name, poses, targets)? else { return Ok(Outcome::Unknown) };
         let scene_file = eval.external.file(Some(&place.name))?;
         let stamp = scene_file.as_deref().map(stamp).transpose()?.unwrap_or_default();
-        let hash = digest(&[choice.digest()?, stamp, evaluator.has_lpips().to_string()]);
+        let hash = digest(&[choice.digest()?, stamp]);
         let folder = self.folder.join(format!("{}-{}", setting.name(), setting.rule()));
         let file = Row::file(&folder, &place.name);
         if Row::read(&file).is_some_and(|row| row.hash == hash) {
             return Ok(Outcome::Unchanged);
         }
-        choice.disturb(eval.pose_noise, eval.scene_scale)?;
+        choice.disturb(eval.pose_noise, eval.length())?;
         let evaluation = evaluator.evaluate(session, &choice, Some(&place.name))?;
         let mean = Score::mean(&evaluation.scores);
         let row = Row {
@@ -209,36 +218,67 @@ impl Series<'_> {
         session.note(format!("{label}: {:.2} dB", row.psnr));
         Ok(Outcome::Evaluated)
     }
+}
 
-    fn report(
-        &self,
-        session: &mut Session<'_>,
-        out: &Path,
-        rows: &[Row],
-        means: &Means,
-        Tally { evaluated, unchanged, unknown, failures }: &Tally,
-    ) -> Result<()> {
-        let table = Table::of(3, &means.headings, &means.lines);
-        let text = format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
-        let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
-        let text = outputs::and_others(text, &others);
-        let json = serde_json::json!({
-            "output": out, "protocol": rows::name_of(self.protocol), "evaluated": evaluated, "skipped": unchanged, "unknown": unknown,
-            "failed": failures.len(), "headings": means.headings, "means": means.lines, "scenes": rows,
-        });
-        session.report(&json, text)
+fn report(
+    session: &mut Session<'_>,
+    out: &Path,
+    protocol: Protocol,
+    rows: &[Row],
+    means: &Means,
+    Tally { evaluated, unchanged, unknown, failures }: &Tally,
+) -> Result<()> {
+    let table = Table::of(3, &means.headings, &means.lines);
+    let text = format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
+    let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
+    let text = outputs::and_others(text, &others);
+    let json = serde_json::json!({
+        "output": out, "protocol": rows::name_of(protocol), "evaluated": evaluated, "skipped": unchanged, "unknown": unknown,
+        "failed": failures.len(), "headings": means.headings, "means": means.lines, "scenes": rows,
+    });
+    session.report(&json, text)
+}
+
+impl Options {
+    /// Every combination of ratios and selections, with the end of its method's name.
+    fn variants(&self, quality: &Quality) -> Vec<(String, Quality)> {
+        fn or<'a, T>(list: &'a [T], one: &'a T) -> &'a [T] {
+            if list.is_empty() { std::slice::from_ref(one) } else { list }
+        }
+        let selections = or(&self.token_selections, &quality.token_selection);
+        let variant = |(ratio, selection): (&Ratio, &TokenSelection)| {
+            let of_ratio = match ratio {
+                _ if self.ratios.is_empty() => String::new(),
+                Ratio::Auto => " r=auto".into(),
+                Ratio::Fixed(ratio) => format!(" r={ratio}"),
+            };
+            let of_selection = match selection {
+                _ if self.token_selections.is_empty() => String::new(),
+                selection => format!(" {selection}"),
+            };
+            let mut variant = quality.clone();
+            (variant.ratio, variant.token_selection) = (*ratio, selection.clone());
+            (of_ratio + &of_selection, variant)
+        };
+        let ratios = or(&self.ratios, &quality.ratio).iter();
+        ratios.flat_map(|ratio| selections.iter().map(move |s| (ratio, s))).map(variant).collect()
     }
 }
 
 impl Eval {
-    fn settings_key(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
-        let weights = weights.provenance();
-        let of_file = stamp_of_weights(weights)?;
-        let version = env!("CARGO_PKG_VERSION");
-        let Self { quality, refine, pose_noise, scene_scale, lpips, .. } = self;
+    fn settings_key(&self, weights: &Network, seeing: Seeing, evaluator: &Evaluator<'_>) -> Result<String> {
+        let (version, precision) = (env!("CARGO_PKG_VERSION"), evaluator.precision.name());
+        let Self { refine, converge, pose_noise, scene_scale, .. } = self;
+        let weights = hash_of_weights(Path::new(weights.provenance()))? + weights.provenance();
+        let lpips = self.lpips.file(evaluator.device.cache_dir(), true)?;
+        let lpips = lpips.map(|(_, path)| hash_of_weights(&path)).transpose()?;
+        let scaler = if let Some(Scaling::Depth(from)) = scene_scale {
+            hash_of_weights(Path::new(from))?
+        } else {
+            String::new()
+        };
         Ok(format!(
-            "{version} {weights} {of_file} {precision} {quality:?} {seeing:?} {:?} {refine:?} \
-             {pose_noise} {scene_scale:?} {lpips:?} {} {}",
+            "{version} {weights} {precision} {seeing:?} {:?} {refine:?} {converge} {pose_noise} {scene_scale:?} {scaler} {lpips:?} {} {}",
             self.aligning(),
             self.series.keep_distortion,
             self.external.key()
@@ -253,9 +293,10 @@ fn method_of(weights: &Network, eval: &Eval) -> String {
     let weights = Path::new(weights.provenance());
     let name = if weights.is_file() { weights.file_stem() } else { weights.file_name() };
     let name = name.unwrap_or_default().to_string_lossy();
+    let converged = if eval.converge { ", converged" } else { "" };
     match eval.refine.steps() {
-        Some(steps) if steps.tokens => format!("{name} + TTO"),
-        Some(_) => format!("{name} + refinement"),
+        Some(steps) if steps.tokens => format!("{name} + TTO{converged}"),
+        Some(_) => format!("{name} + refinement{converged}"),
         None => name.into_owned(),
     }
 }

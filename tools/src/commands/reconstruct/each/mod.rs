@@ -6,7 +6,7 @@ use crate::{
     outputs::{self, FAILURES, Failure},
     photos,
     session::{Session, Stage},
-    stamp::{digest, stamp, stamp_of_weights},
+    stamp::{digest, hash_of_weights, stamp},
     table::{counted, time},
     views::Crop,
 };
@@ -178,7 +178,7 @@ impl<'a> Batch<'a> {
     }
 
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
-        let of_file = stamp_of_weights(weights)?;
+        let of_file = hash_of_weights(Path::new(weights))?;
         let Reconstruct { quality, views, format, .. } = self.command;
         let Quality { ratio, token_selection, kv_pool, .. } = quality;
         let options = [
