@@ -42,9 +42,9 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_reconstruct_options {
             struct_size, world, ratio, scene_scale, token_selection, kv_pool, input_size, seed, camera_count, cameras,
-            progress, user_data, capture
+            progress, user_data, capture, keep_features, reserved
         }
-        zs_reconstruction_info { struct_size, has_tokens, view_count, token_count, gaussian_count, warnings }
+        zs_reconstruction_info { struct_size, has_tokens, view_count, token_count, gaussian_count, warnings, channel_count }
         zs_camera_estimate { struct_size, inliers, patches, reserved, camera }
         zs_depth_model_options { struct_size, precision, progress, user_data }
         zs_depth_model_info { struct_size, is_multi_view, patch_size, precision, weight_bytes, warnings }

@@ -1,6 +1,9 @@
 use crate::calls::*;
 use glam::{DMat3, DVec3};
-use std::{ops::ControlFlow, ptr::null};
+use std::{
+    ops::ControlFlow::{self, Continue},
+    ptr::null,
+};
 use zipsplat::{
     ops::{Arithmetic, Precision},
     reconstruct::{Model, Ratio, ReconstructOptions, TokenSelection},
@@ -9,7 +12,7 @@ use zipsplat::{
     types::{Camera, Image, Intrinsics, PointCloud, Pose, Scene},
     weights::{Checkpoint, Dtype},
 };
-use zipsplat_c::*;
+use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{compare::assert_same, device::device as rust_device, scenes::scene_extensions};
 
 /// Returns bytes, row stride, and offset of the top row.
@@ -347,4 +350,45 @@ fn normals_and_point_scenes_are_rusts() {
     let options = RenderOptions { rgb: false, normals: true, ..RenderOptions::default() };
     let truth = Renderer::new(rust_device()).render_scene(&expected, &[rust_camera(&view)], &options).unwrap();
     assert_same("normals", &normals, truth[0].normals.as_ref().unwrap());
+}
+
+#[test]
+fn kept_features_give_other_scenes_and_patch_tokens() {
+    let (device, photos) = (open_device(), photos(2));
+    let (model, images) = (model(&device), photos.iter().map(image_of).collect::<Vec<_>>());
+    let keeping = zs_reconstruct_options { keep_features: 1, ..reconstruct_options() };
+    let whole = made(try_reconstruct(&model, &images, &keeping));
+    let stride = zs_token_selection::ZS_TOKEN_SELECTION_STRIDE as i32;
+    let half = zs_reconstruct_options { ratio: 0.5, token_selection: stride, ..reconstruct_options() };
+    let again = |model: &Object<zs_model>, from: &Object<zs_reconstruction>| {
+        let make = |out| unsafe { zs_reconstruct_again(model.handle, from.handle, &half, out) };
+        Object::try_new(zs_reconstruction_destroy, make)
+    };
+    let found = made(again(&model, &whole));
+    let expected = reconstruct(&model, &images, &half);
+    assert_eq!(bits(&read(&to_scene(&found))), bits(&read(&expected)));
+    assert_eq!(bits(&read(&to_scene(&whole))), bits(&read(&reconstruct(&model, &images, &reconstruct_options()))));
+    // Features stay with both.
+    assert_eq!(bits(&read(&to_scene(&made(again(&model, &found))))), bits(&read(&expected)));
+
+    let rust = Model::from_checkpoint(rust_device(), &checkpoint(), |_| Continue(())).expect("a model");
+    let options = ReconstructOptions { scene_scale: Some(1.0), ..ReconstructOptions::default() };
+    let features = rust.features(&photos, &options, |_| Continue(())).expect("features");
+    let (mut info, mut values) = (zs_reconstruction_info::new(), zs_pixel_values::new());
+    ok(unsafe { zs_reconstruction_get_info(whole.handle, &mut info) });
+    assert_eq!(info.channel_count, features.channels());
+    for (i, tokens) in features.patch_tokens().expect("tokens").into_iter().enumerate() {
+        ok(unsafe { zs_reconstruction_get_patch_tokens(whole.handle, i, &mut values) });
+        assert_eq!([values.width, values.height], [SIDE / 14; 2]);
+        let found = unsafe { std::slice::from_raw_parts(values.values, tokens.values.len()) };
+        assert!(found == tokens.values && tokens.values.iter().any(|value| *value != 0.0));
+    }
+    let beyond = unsafe { zs_reconstruction_get_patch_tokens(whole.handle, 2, &mut values) };
+    fails(beyond, ZS_ERROR_ARGUMENT, &["number of a photo", "2"]);
+    let without = made(try_reconstruct(&model, &images, &reconstruct_options()));
+    refused(again(&model, &without), ZS_ERROR_ARGUMENT, &["without features", "keep_features"]);
+    let other = self::model(&device);
+    refused(again(&other, &whole), ZS_ERROR_ARGUMENT, &["model", "another"]);
+    let wrong = zs_reconstruct_options { keep_features: 2, ..reconstruct_options() };
+    refused(try_reconstruct(&model, &images, &wrong), ZS_ERROR_ARGUMENT, &["keep_features", "2"]);
 }

@@ -2,6 +2,7 @@ use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::{
     Error,
+    gpu::Arena,
     stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Intrinsics, Pose, poses::write_colmap, read_ply},
 };
@@ -211,7 +212,10 @@ fn a_camera_is_found_by_its_photo() {
     assert!(angle < 1e-3 && distance < 2e-3, "{angle} radians and {distance} from the truth");
     assert_eq!(found.intrinsics, truth.intrinsics);
     // Adam's steps do not shrink.
-    let found = Method::Adam.align(&mut renderer, &[(&photo, &start)], None, &|_| Ok(())).expect("aligned").remove(0);
+    let found = Method::Adam
+        .align(&mut renderer, &[(&photo, &start)], None, &Arena::new(device()), &|_| Ok(()))
+        .expect("aligned")
+        .remove(0);
     let error = found.camera.pose;
     let (angle, distance) = (error.rotation.x_axis.angle_between(DVec3::X), error.translation.length());
     assert!(angle < 0.01 && distance < 0.01, "{angle} radians and {distance} from the truth, by Adam");

@@ -33,6 +33,19 @@ def command(*arguments: object) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_kept_features_give_other_scenes_and_patch_tokens(model: zipsplat.Model, photos: list[Path]) -> None:
+    whole = model.reconstruct(photos, input_size=SIZE, keep_features=True)
+    half = model.reconstruct(photos, input_size=SIZE, ratio=0.5)
+    assert same(whole.again(ratio=0.5), half)
+    assert same(whole.again(ratio=0.5).again(), whole)
+    rows, columns = SIZE[1] // model.patch_size, SIZE[0] // model.patch_size
+    assert whole.patch_tokens.shape == (len(photos), rows, columns, whole.channel_count)
+    with pytest.raises(zipsplat.ArgumentError, match="without features"):
+        half.again()
+    with pytest.raises(zipsplat.ArgumentError, match="ratio"):
+        whole.again(ratio=-1)
+
+
 def rows(ply: bytes) -> bytes:
     """Returns a PLY's Gaussians without the header, which may name the scene's world."""
     return ply.split(b"end_header\n", 1)[1]

@@ -36,6 +36,11 @@ impl BackboneFeatures {
         self.shape.grid
     }
 
+    /// Values of a patch token.
+    pub fn channels(&self) -> usize {
+        self.tensors.layers[0].width
+    }
+
     /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each view.
     pub fn patch_tokens(&self) -> Result<Vec<PixelValues>> {
         let ViewGrid { rows, columns, .. } = self.shape.grid;

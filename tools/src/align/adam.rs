@@ -33,9 +33,10 @@ pub fn align(
     renderer: &mut Renderer,
     photos: &[(&Image, &Camera)],
     mut lpips: Option<&mut Perceptual>,
+    arena: &Arena,
     reach: &dyn Fn(f64) -> Result<()>,
 ) -> Result<Vec<Aligned>> {
-    let arena = Arena::new(renderer.device());
+    let (arena, _claim) = arena.claimed();
     let descent = |(photo, camera): &(&Image, &Camera)| Descent::new(renderer, &arena, &values(photo), camera);
     let mut descents = photos.iter().map(descent).collect::<Result<Vec<_>>>()?;
     let (mut last, mut flat) = (f64::INFINITY, 0);

@@ -14,6 +14,7 @@ use serde::Serialize;
 use std::{cell::RefCell, iter::successors};
 use zipsplat::{
     Result,
+    gpu::Arena,
     perceptual::Perceptual,
     stages::render::{RenderOptions, RenderOutput, Renderer},
     types::{Camera, Image, Pose, resample::resize_lanczos},
@@ -50,8 +51,8 @@ pub enum Method {
 }
 
 impl Method {
-    /// Aligns all photos' cameras: one after the other, or by Adam in step, which alone uses LPIPS.
-    /// `reach` gets the finished fraction before each step.
+    /// Aligns all photos' cameras: one after the other, or by Adam in step, which alone uses LPIPS
+    /// and `arena`. `reach` gets the finished fraction before each step.
     ///
     /// # Errors
     /// As [`align`].
@@ -60,10 +61,11 @@ impl Method {
         renderer: &mut Renderer,
         photos: &[(&Image, &Camera)],
         lpips: Option<&mut Perceptual>,
+        arena: &Arena,
         reach: &dyn Fn(f64) -> Result<()>,
     ) -> Result<Vec<Aligned>> {
         if self == Self::Adam {
-            return adam::align(renderer, photos, lpips, reach);
+            return adam::align(renderer, photos, lpips, arena, reach);
         }
         // The number of renderings depends on the content.
         let fraction = |i: usize| i as f64 / photos.len() as f64;

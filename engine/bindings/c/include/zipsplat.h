@@ -716,6 +716,8 @@ typedef struct zs_reconstruction_info {
     size_t gaussian_count;
     // Warnings.
     const char *warnings;
+    // Channels of zs_reconstruction_get_patch_tokens; 0 without features.
+    size_t channel_count;
 } zs_reconstruction_info;
 
 // Estimated camera of a photo.
@@ -735,6 +737,13 @@ typedef struct zs_camera_estimate {
 // Describes a reconstruction.
 zs_status zs_reconstruction_get_info(const struct zs_reconstruction *reconstruction,
                                      struct zs_reconstruction_info *info);
+
+// Returns the patch tokens of the backbone's last layer, a cell per patch, of what the network saw
+// of photo `index`: its center in the shape of the network's input. They belong to the
+// reconstruction.
+zs_status zs_reconstruction_get_patch_tokens(const struct zs_reconstruction *reconstruction,
+                                             size_t index,
+                                             struct zs_pixel_values *tokens);
 
 // Reads the scene from the device.
 zs_status zs_reconstruction_to_scene(const struct zs_reconstruction *reconstruction, struct zs_scene **scene);
@@ -802,6 +811,11 @@ typedef struct zs_reconstruct_options {
     void *user_data;
     // Capture whose points and cameras give ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     const struct zs_capture *capture;
+    // Whether to keep the backbone's features on the device, for zs_reconstruct_again and
+    // zs_reconstruction_get_patch_tokens: 0 or 1.
+    uint32_t keep_features;
+    // 0.
+    uint32_t reserved;
 } zs_reconstruct_options;
 
 // Reconstructs a scene from 1 to ZS_MAX_VIEWS photos of one place.
@@ -810,6 +824,14 @@ zs_status zs_reconstruct(const struct zs_model *model,
                          size_t image_count,
                          const struct zs_reconstruct_options *options,
                          struct zs_reconstruction **reconstruction);
+
+// Reconstructs a scene from the features of another reconstruction of the model, without another
+// pass of the backbone, with the bits of zs_reconstruct. Of `options` only `ratio`,
+// `token_selection`, `seed` and `progress` count.
+zs_status zs_reconstruct_again(const struct zs_model *model,
+                               const struct zs_reconstruction *reconstruction,
+                               const struct zs_reconstruct_options *options,
+                               struct zs_reconstruction **again);
 
 /**********************************/
 /*  Depth and cameras of photos.  */

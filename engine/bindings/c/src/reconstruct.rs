@@ -11,9 +11,14 @@ use super::{
     scene::zs_world_value,
     status::{Failure, zs_status},
 };
-use std::{ffi::c_void, ops::Range};
+use std::{
+    ffi::c_void,
+    ops::{ControlFlow, Range},
+    sync::Arc,
+};
 use zipsplat::{
-    Camera, Progress, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection, reconstruct::MAX_VIEWS,
+    Camera, Progress, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection,
+    reconstruct::{BackboneFeatures, MAX_VIEWS},
     types::preprocess::fit,
 };
 
@@ -75,6 +80,11 @@ pub struct zs_reconstruct_options {
     pub user_data: *mut c_void,
     /// Capture whose points and cameras give ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     pub capture: *const zs_capture,
+    /// Whether to keep the backbone's features on the device, for zs_reconstruct_again and
+    /// zs_reconstruction_get_patch_tokens: 0 or 1.
+    pub keep_features: u32,
+    /// 0.
+    pub reserved: u32,
 }
 
 versioned!(zs_reconstruct_options);
@@ -90,7 +100,8 @@ pub unsafe extern "C" fn zs_reconstruct(
 ) -> zs_status {
     let reconstruct = || {
         // SAFETY: the caller's arguments.
-        let (zs_model { model, head, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
+        let (zs_model, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
+        let (zs_model { model, head, .. }, keeps) = (zs_model, options.keeps_features()?);
         check_view_count(image_count)?;
         // SAFETY: the caller's arguments.
         let (images, cameras, capture) = unsafe {
@@ -109,20 +120,63 @@ pub unsafe extern "C" fn zs_reconstruct(
         };
         let prepared = model.prepare(image_count, &wanted, view, within(0.0..0.1))?;
         let (images, options) = (&prepared.images, &prepared.options);
-        let (made, tokens) = match head {
-            None => (model.reconstruct_views(images, options, within(0.1..1.0))?, None),
-            Some(head) => {
-                let features = model.features(images, options, within(0.1..0.8))?;
-                let made = model.reconstruct_features(&features, options, within(0.8..0.9))?;
-                let (tokens, head) = (model.tokens(&features, options, within(0.9..1.0))?, head.clone());
-                (made, Some(ModelTokens { tokens, head }))
-            }
-        };
-        let made = Reconstruction { placement: Some(prepared.placement), ..made };
-        Ok(zs_reconstruction::new(made, tokens, model.arena().clone(), prepared.warning.unwrap_or_default()))
+        let placement = Some(prepared.placement);
+        let warning = prepared.warning.unwrap_or_default();
+        let arena = model.arena().clone();
+        if head.is_none() && !keeps {
+            let made = model.reconstruct_views(images, options, within(0.1..1.0))?;
+            return Ok(zs_reconstruction::new(Reconstruction { placement, ..made }, None, arena, warning));
+        }
+        let features = model.features(images, options, within(0.1..0.8))?;
+        let (made, tokens) = zs_model.decode(&features, options, within(0.8..1.0))?;
+        let made = zs_reconstruction::new(Reconstruction { placement, ..made }, tokens, arena, warning);
+        Ok(if keeps { made.with(Arc::new(features)) } else { made })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(reconstruction, reconstruct) }
+}
+
+/// Reconstructs a scene from the features of another reconstruction of the model, without another
+/// pass of the backbone, with the bits of zs_reconstruct. Of `options` only `ratio`,
+/// `token_selection`, `seed` and `progress` count.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruct_again(
+    model: *const zs_model,
+    reconstruction: *const zs_reconstruction,
+    options: *const zs_reconstruct_options,
+    again: *mut *mut zs_reconstruction,
+) -> zs_status {
+    let reconstruct = || {
+        // SAFETY: the caller's arguments.
+        let (model, first, options) =
+            unsafe { (borrow(model, "model")?, borrow(reconstruction, "reconstruction")?, read_versioned(options)?) };
+        let (features, arena) = (first.features()?, model.model.arena());
+        if !arena.is(&first.arena) {
+            return Err(Failure::argument("model", "another", "that of the reconstruction"));
+        }
+        let reporter = Reporter { callback: options.progress, user_data: options.user_data };
+        let progress = |now: Progress<'_>| reporter.fraction(now.scope, now.fraction);
+        let (made, tokens) = model.decode(features, &options.engine(Vec::new(), None)?, progress)?;
+        let made = Reconstruction { placement: first.made.placement.clone(), ..made };
+        Ok(zs_reconstruction::new(made, tokens, arena.clone(), first.warnings()).with(features.clone()))
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(again, reconstruct) }
+}
+
+impl zs_model {
+    /// Returns a reconstruction, and the tokens of a model that refines them.
+    fn decode(
+        &self,
+        features: &BackboneFeatures,
+        options: &ReconstructOptions,
+        mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<(Reconstruction, Option<ModelTokens>), Failure> {
+        let made = self.model.reconstruct_features(features, options, &mut progress)?;
+        let Some(head) = self.head.clone() else { return Ok((made, None)) };
+        let tokens = self.model.tokens(features, options, progress)?;
+        Ok((made, Some(ModelTokens { tokens, head })))
+    }
 }
 
 pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
@@ -132,6 +186,14 @@ pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
 }
 
 impl zs_reconstruct_options {
+    fn keeps_features(&self) -> Result<bool, Failure> {
+        match (self.keep_features, self.reserved) {
+            (keep @ (0 | 1), 0) => Ok(keep == 1),
+            (0 | 1, other) => Err(Failure::argument("zs_reconstruct_options, reserved", other, "0")),
+            (other, _) => Err(Failure::argument("keep_features", other, "0 or 1")),
+        }
+    }
+
     fn engine(&self, cameras: Vec<Camera>, capture: Option<&zs_capture>) -> Result<ReconstructOptions, Failure> {
         Ok(ReconstructOptions {
             ratio: match self.ratio {

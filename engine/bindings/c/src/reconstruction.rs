@@ -2,6 +2,7 @@
 
 use super::{
     camera::zs_camera,
+    features::zs_pixel_values,
     pointers::{Versioned, borrow, describe, destroy, produce},
     scene::zs_scene,
     status::{Failure, zs_status},
@@ -11,13 +12,21 @@ use std::{
     ptr::null,
     sync::{Arc, OnceLock},
 };
-use zipsplat::{Error, Reconstruction, Result, Scene, gpu::Arena, reconstruct::SceneTokens, refine::FrozenHead};
+use zipsplat::{
+    Error, Reconstruction, Result, Scene,
+    features::PixelValues,
+    gpu::Arena,
+    reconstruct::{BackboneFeatures, SceneTokens},
+    refine::FrozenHead,
+};
 
 /// A reconstruction's Gaussians on its device, with their relation to the photos.
 pub struct zs_reconstruction {
     pub(super) made: Reconstruction,
     pub(super) tokens: Option<ModelTokens>,
     pub(super) arena: Arena,
+    features: Option<Arc<BackboneFeatures>>,
+    patch_tokens: OnceLock<Vec<PixelValues>>,
     warnings: CString,
     scene: OnceLock<Arc<Scene>>,
     estimates: OnceLock<Vec<Estimate>>,
@@ -47,6 +56,8 @@ pub struct zs_reconstruction_info {
     pub gaussian_count: usize,
     /// Warnings.
     pub warnings: *const c_char,
+    /// Channels of zs_reconstruction_get_patch_tokens; 0 without features.
+    pub channel_count: usize,
 }
 
 /// Estimated camera of a photo.
@@ -70,7 +81,40 @@ versioned!(zs_reconstruction_info, zs_camera_estimate);
 impl zs_reconstruction {
     pub(super) fn new(made: Reconstruction, tokens: Option<ModelTokens>, arena: Arena, warnings: String) -> Self {
         let warnings = CString::new(warnings).unwrap_or_default();
-        Self { made, tokens, arena, warnings, scene: OnceLock::new(), estimates: OnceLock::new() }
+        Self {
+            made,
+            tokens,
+            arena,
+            features: None,
+            patch_tokens: OnceLock::new(),
+            warnings,
+            scene: OnceLock::new(),
+            estimates: OnceLock::new(),
+        }
+    }
+
+    pub(super) fn with(self, features: Arc<BackboneFeatures>) -> Self {
+        Self { features: Some(features), ..self }
+    }
+
+    pub(super) fn features(&self) -> Result<&Arc<BackboneFeatures>, Failure> {
+        let expected = "one of zs_reconstruct with keep_features = 1";
+        self.features.as_ref().ok_or_else(|| Failure::argument("reconstruction", "one without features", expected))
+    }
+
+    pub(super) fn warnings(&self) -> String {
+        self.warnings.to_string_lossy().into_owned()
+    }
+
+    /// Reads patch tokens from the device once.
+    fn patch_tokens(&self) -> Result<&[PixelValues], Failure> {
+        match self.patch_tokens.get() {
+            Some(tokens) => Ok(tokens),
+            None => {
+                let tokens = self.features()?.patch_tokens()?;
+                Ok(self.patch_tokens.get_or_init(|| tokens))
+            }
+        }
     }
 
     /// Reads the scene from the device once.
@@ -107,18 +151,39 @@ pub unsafe extern "C" fn zs_reconstruction_get_info(
     reconstruction: *const zs_reconstruction,
     info: *mut zs_reconstruction_info,
 ) -> zs_status {
-    let of = |zs_reconstruction { made, tokens, warnings, .. }: &zs_reconstruction| {
+    let of = |zs_reconstruction { made, tokens, features, warnings, .. }: &zs_reconstruction| {
         Ok(zs_reconstruction_info {
             has_tokens: tokens.is_some().into(),
             view_count: made.placement.as_ref().map_or(0, |placement| placement.maps.len()),
             token_count: made.tokens,
             gaussian_count: made.gaussians.len(),
             warnings: warnings.as_ptr(),
+            channel_count: features.as_ref().map_or(0, |features| features.channels()),
             ..Versioned::new()
         })
     };
     // SAFETY: the caller's arguments.
     unsafe { describe(reconstruction, "reconstruction", info, of) }
+}
+
+/// Returns the patch tokens of the backbone's last layer, a cell per patch, of what the network saw
+/// of photo `index`: its center in the shape of the network's input. They belong to the
+/// reconstruction.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
+    reconstruction: *const zs_reconstruction,
+    index: usize,
+    tokens: *mut zs_pixel_values,
+) -> zs_status {
+    let of = |reconstruction: &zs_reconstruction| {
+        let views = reconstruction.patch_tokens()?;
+        let expected = || format!("a number below {}", views.len());
+        let PixelValues { width, height, values, .. } =
+            views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
+        Ok(zs_pixel_values { width: *width, height: *height, values: values.as_ptr(), ..Versioned::new() })
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(reconstruction, "reconstruction", tokens, of) }
 }
 
 /// Reads the scene from the device.

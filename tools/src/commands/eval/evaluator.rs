@@ -224,6 +224,7 @@ impl<'a> Evaluator<'a> {
     }
 
     fn draw(&mut self, session: &Session<'_>, capture: &ViewSplit) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
+        let arena = self.model.as_ref().map_or_else(|| Arena::new(&self.device), |model| model.arena().clone());
         let Self { renderer, lpips, .. } = self;
         let targets = &capture.targets;
         let Some(method) = self.eval.aligning() else {
@@ -231,8 +232,9 @@ impl<'a> Evaluator<'a> {
             return Ok((session.stage("compare", |stage| stage.each(targets, picture))?.0, None));
         };
         let photos: Vec<_> = targets.iter().map(|view| (&view.image, &view.camera)).collect();
-        let (found, _) = session
-            .stage("align", |stage| method.align(renderer, &photos, lpips.as_mut(), &|part| stage.reach(part)))?;
+        let (found, _) = session.stage("align", |stage| {
+            method.align(renderer, &photos, lpips.as_mut(), &arena, &|part| stage.reach(part))
+        })?;
         let alignment = Alignment::new(capture, &found);
         Ok((found.into_iter().map(|found| found.drawn).collect(), Some(alignment)))
     }

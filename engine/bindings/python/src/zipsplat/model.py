@@ -12,14 +12,12 @@ from ._native import Handle, Owner, call, choose, ffi, lib, positive, structure,
 from .cameras import PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, opened
-from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, MasksLike, matched
 from .images import native as native_images
 from .progress import Callback, ProgressFunction
-from .reconstruction import Reconstruction
+from .reconstruction import Ratio, Reconstruction, TokenSelection, number_or_auto, selection_fields
 
 Precision = Literal["auto", "fp32", "fp16", "bf16", "int8"]
-TokenSelection = Literal["kmeans", "stride", "random"]
 World = Literal["auto", "first_camera", "input_cameras"]
 
 PRECISIONS: dict[Precision, int] = {
@@ -28,11 +26,6 @@ PRECISIONS: dict[Precision, int] = {
     "fp16": lib.ZS_PRECISION_FP16,
     "bf16": lib.ZS_PRECISION_BF16,
     "int8": lib.ZS_PRECISION_INT8,
-}
-_SELECTIONS = {
-    "kmeans": lib.ZS_TOKEN_SELECTION_KMEANS,
-    "stride": lib.ZS_TOKEN_SELECTION_STRIDE,
-    "random": lib.ZS_TOKEN_SELECTION_RANDOM,
 }
 _WORLDS = {
     "auto": lib.ZS_WORLD_AUTO,
@@ -116,13 +109,14 @@ class Model(Owner):
         images: ImagesLike,
         cameras: Optional[CamerasLike] = None,
         *,
-        ratio: Union[float, Literal["auto"]] = 1.0,
+        ratio: Ratio = 1.0,
         world: World = "auto",
         scene_scale: Union[float, Literal["auto"]] = "auto",
         token_selection: TokenSelection = "kmeans",
         seed: int = 0,
         kv_pool: int = 1,
         input_size: Optional[tuple[int, int]] = None,
+        keep_features: bool = False,
         masks: Optional[MasksLike] = None,
         invert_masks: bool = False,
         progress: Optional[ProgressFunction] = None,
@@ -147,6 +141,8 @@ class Model(Owner):
                 patches, 1 to 4. Larger values are faster and less exact.
             input_size: Width and height of the network's input, multiples of `patch_size`; photos
                 are center-cropped. None for the model's own.
+            keep_features: Whether to keep the backbone's features on the device, for
+                Reconstruction.patch_tokens and Reconstruction.again.
             masks: Pixels to ignore, where they are 0: a folder of PNGs of the photos' sizes and names
                 (1.png or 1.jpg.png for 1.jpg), "alpha" for the photos' alpha channels, or an array
                 [height, width] per image.
@@ -168,24 +164,20 @@ class Model(Owner):
         callback, known = Callback(progress), native_cameras(posed or ())
         options = structure(
             "reconstruct_options",
+            **selection_fields(ratio, token_selection, seed),
             world=choose("world", world, _WORLDS),
-            ratio=NUMBERS["ZS_RATIO_AUTO"] if ratio == "auto" else float(ratio),
-            scene_scale=NUMBERS["ZS_SCENE_SCALE_AUTO"] if scene_scale == "auto" else float(scene_scale),
-            token_selection=choose("token_selection", token_selection, _SELECTIONS),
+            scene_scale=number_or_auto("scene_scale", scene_scale, NUMBERS["ZS_SCENE_SCALE_AUTO"]),
             input_size=(0, 0) if input_size is None else [positive("input_size", side) for side in input_size],
-            seed=seed,
             kv_pool=positive("kv_pool", kv_pool),
+            keep_features=keep_features,
             cameras=known,
             camera_count=len(known),
             capture=ffi.NULL if capture is None else capture._handle.pointer,
             **callback.fields,
         )
-        for name, value in (("ratio", ratio), ("scene_scale", scene_scale)):
-            if value != "auto" and float(value) <= 0:
-                raise ArgumentError(f"{name}: found {value!r}, expected a number above 0, or 'auto'")
         photos, _kept = native_images(sources, masks, invert_masks)
         found = Handle("reconstruction", "zs_reconstruct", self._handle, photos, len(sources), options)
-        return Reconstruction(found, self.device)
+        return Reconstruction(found, self.device, self._handle)
 
     def __repr__(self) -> str:
         return f"<zipsplat.Model of {self.image_size}x{self.image_size} images on {self.device.info.name}>"

@@ -3,12 +3,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Optional
+from typing import Any, Literal, Optional, Union
 
-from ._native import Handle, Owner, call, structure, text, warned
+import numpy as np
+import numpy.typing as npt
+
+from ._header import NUMBERS
+from ._native import Handle, Owner, array_at, call, choose, lib, structure, text, warned
 from .cameras import Camera, from_native
 from .device import Device
+from .errors import ArgumentError
+from .progress import Callback, ProgressFunction
 from .scene import RefineTarget, Scene
+
+Ratio = Union[float, Literal["auto"]]
+TokenSelection = Literal["kmeans", "stride", "random"]
+
+_SELECTIONS: dict[TokenSelection, int] = {
+    "kmeans": lib.ZS_TOKEN_SELECTION_KMEANS,
+    "stride": lib.ZS_TOKEN_SELECTION_STRIDE,
+    "random": lib.ZS_TOKEN_SELECTION_RANDOM,
+}
+
+
+def number_or_auto(name: str, value: Union[float, Literal["auto"]], auto: float) -> float:
+    """Returns a number above 0, or the library's number for "auto"."""
+    if value == "auto":
+        return auto
+    if float(value) <= 0:
+        raise ArgumentError(f"{name}: found {value!r}, expected a number above 0, or 'auto'")
+    return float(value)
+
+
+def selection_fields(ratio: Ratio, token_selection: TokenSelection, seed: int) -> dict[str, Any]:
+    """Returns the library's options of ratio and selection."""
+    return {
+        "ratio": number_or_auto("ratio", ratio, NUMBERS["ZS_RATIO_AUTO"]),
+        "token_selection": choose("token_selection", token_selection, _SELECTIONS),
+        "seed": seed,
+    }
 
 
 @dataclass(frozen=True)
@@ -33,16 +66,19 @@ class Reconstruction(Owner, Scene):
 
     Attributes:
         token_count: Number of kept tokens.
+        channel_count: Channels of `patch_tokens`; 0 without kept features.
         warnings: Messages about the photos and cameras.
     """
 
-    def __init__(self, handle: Handle, device: Device) -> None:
+    def __init__(self, handle: Handle, device: Optional[Device], model: Handle) -> None:
         Owner.__init__(self, handle)
+        self._model = model
         Scene.__init__(self, Handle("scene", "zs_reconstruction_to_scene", handle), device)
         info = structure("reconstruction_info")
         call("zs_reconstruction_get_info", handle, info)
         self._views: int = info.view_count
         self.token_count: int = info.token_count
+        self.channel_count: int = info.channel_count
         self.warnings: list[str] = warned(text(info.warnings).splitlines())
 
     def estimate_cameras(self) -> list[CameraEstimate]:
@@ -64,6 +100,48 @@ class Reconstruction(Owner, Scene):
             camera = from_native(found.camera) if found.camera else None
             estimates.append(CameraEstimate(camera, found.inliers, found.patches))
         return estimates
+
+    def again(
+        self,
+        *,
+        ratio: Ratio = 1.0,
+        token_selection: TokenSelection = "kmeans",
+        seed: int = 0,
+        progress: Optional[ProgressFunction] = None,
+    ) -> Reconstruction:
+        """Reconstructs from the kept features, with the bits of Model.reconstruct and its arguments.
+
+        Raises:
+            ArgumentError: no features are kept, or an argument is invalid.
+
+        Example:
+            >>> scene = model.reconstruct("photos/", keep_features=True)
+            >>> small = scene.again(ratio=0.25)
+        """
+        callback = Callback(progress)
+        options = structure(
+            "reconstruct_options", **selection_fields(ratio, token_selection, seed), **callback.fields
+        )
+        found = Handle("reconstruction", "zs_reconstruct_again", self._model, self._handle, options)
+        return Reconstruction(found, self._device, self._model)
+
+    @property
+    def patch_tokens(self) -> npt.NDArray[np.float32]:
+        """[photos, rows, columns, channel_count] patch tokens of the backbone's last layer.
+
+        They cover the center of each photo in the shape of the network's input, as the pictures that
+        `lift` takes.
+
+        Raises:
+            ArgumentError: no features are kept.
+        """
+        views = []
+        for index in range(self._views):
+            found = structure("pixel_values")
+            call("zs_reconstruction_get_patch_tokens", self._handle, index, found)
+            shape = (found.height, found.width, self.channel_count)
+            views.append(array_at(self._handle, found.values, shape))
+        return np.stack(views)
 
     def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
         if target == "tokens":
