@@ -332,6 +332,20 @@ typedef struct zs_image {
     int64_t mask_stride;
 } zs_image;
 
+// Values of a camera's picture, in pixels or in cells of several pixels.
+typedef struct zs_pixel_values {
+    // sizeof(zs_pixel_values).
+    uint32_t struct_size;
+    // Cells per row.
+    uint32_t width;
+    // Rows of cells.
+    uint32_t height;
+    // 0.
+    uint32_t reserved;
+    // height x width x channels. Cells with a NaN do not count.
+    const float *values;
+} zs_pixel_values;
+
 // Opens a PNG, JPEG or WebP. Applies the EXIF orientation, drops alpha and keeps the high byte of
 // 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use zs_capture_open_image.
 zs_status zs_image_buffer_open(const char *path, struct zs_image_buffer **photo);
@@ -1240,20 +1254,6 @@ zs_status zs_render_backward(const struct zs_renderer *renderer,
 /******************************************************************************/
 /*  Features: values of any number of channels, held by Gaussians or tokens.  */
 /******************************************************************************/
-
-// Values of a camera's picture, in pixels or in cells of several pixels.
-typedef struct zs_pixel_values {
-    // sizeof(zs_pixel_values).
-    uint32_t struct_size;
-    // Cells per row.
-    uint32_t width;
-    // Rows of cells.
-    uint32_t height;
-    // 0.
-    uint32_t reserved;
-    // height x width x channels. Cells with a NaN do not count.
-    const float *values;
-} zs_pixel_values;
 
 // Lifts pixel values of `count` cameras, in the scene's world, to features: means over all pixels,
 // weighted by the blending weights of `group` consecutive Gaussians, such as 1 or those of a

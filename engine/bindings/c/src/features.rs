@@ -2,6 +2,7 @@
 
 use super::{
     camera::zs_camera,
+    image::zs_pixel_values,
     pointers::{array, array_mut, borrow, read_array},
     renderer::zs_renderer,
     scene::zs_scene,
@@ -11,24 +12,6 @@ use zipsplat::{
     Camera, Scene,
     features::{FeatureRenderer, Features, PixelValues},
 };
-
-/// Values of a camera's picture, in pixels or in cells of several pixels.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct zs_pixel_values {
-    /// sizeof(zs_pixel_values).
-    pub struct_size: u32,
-    /// Cells per row.
-    pub width: u32,
-    /// Rows of cells.
-    pub height: u32,
-    /// 0.
-    pub reserved: u32,
-    /// height x width x channels. Cells with a NaN do not count.
-    pub values: *const f32,
-}
-
-versioned!(zs_pixel_values);
 
 /// Lifts pixel values of `count` cameras, in the scene's world, to features: means over all pixels,
 /// weighted by the blending weights of `group` consecutive Gaussians, such as 1 or those of a

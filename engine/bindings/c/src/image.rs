@@ -87,7 +87,23 @@ pub struct zs_masks {
     pub folder: *const c_char,
 }
 
-versioned!(zs_image, zs_masks);
+/// Values of a camera's picture, in pixels or in cells of several pixels.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_pixel_values {
+    /// sizeof(zs_pixel_values).
+    pub struct_size: u32,
+    /// Cells per row.
+    pub width: u32,
+    /// Rows of cells.
+    pub height: u32,
+    /// 0.
+    pub reserved: u32,
+    /// height x width x channels. Cells with a NaN do not count.
+    pub values: *const f32,
+}
+
+versioned!(zs_image, zs_masks, zs_pixel_values);
 
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}

@@ -2,7 +2,7 @@
 
 use super::{
     camera::zs_camera,
-    features::zs_pixel_values,
+    image::zs_pixel_values,
     pointers::{Versioned, borrow, describe, destroy, produce},
     scene::zs_scene,
     status::{Failure, zs_status},
