@@ -14,6 +14,7 @@ mod plan;
 mod planned;
 mod refinement;
 mod schedule;
+mod smoothing;
 mod tokens;
 mod views;
 
@@ -25,6 +26,7 @@ pub use exposure::{EXPOSURE_NUMBERS, Exposed};
 pub use options::{Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use photos::Photos;
 pub use plan::{Moved, RefinePlan, plan_refinement};
+pub use smoothing::{record_least_scales, record_smoothing};
 pub use tokens::FrozenHead;
 
 use crate::{

@@ -68,6 +68,10 @@ pub struct RefineOptions {
     pub optimize_cameras: bool,
     /// Whether to learn the training photos' exposures.
     pub exposure: Exposure,
+    /// Whether to draw and return an antialiased scene (Mip-Splatting), by default
+    /// [`Scene::antialiased`](crate::types::Scene::antialiased). Scales of Gaussians are then at
+    /// least what the training photos resolve; tokens have no such limit.
+    pub antialiased: Option<bool>,
     /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
     /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of
     /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number; from 200 steps
@@ -107,6 +111,7 @@ impl Default for RefineOptions {
             learning_rates: LearningRates::default(),
             optimize_cameras: false,
             exposure: Exposure::Auto,
+            antialiased: None,
             max_gaussians: None,
             opacity_penalty: 0.0,
             scale_penalty: 0.1,

@@ -74,7 +74,7 @@ struct Kept {
 impl<'a> Refinement<'a> {
     pub fn new(
         mut gaussians: Gaussians,
-        (scene, scene_distance): (Scene, f64),
+        (mut scene, scene_distance): (Scene, f64),
         mut photos: PhotoCache<'a>,
         cameras: &[Camera],
         options: RefineOptions,
@@ -97,6 +97,7 @@ impl<'a> Refinement<'a> {
             let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
             (Growth::new(scene.len(), most, steps, options.seed), FreeSpace::new(&scene, &training_cameras))
         });
+        scene.antialiased = options.antialiased.unwrap_or(scene.antialiased);
         gaussians.draw_as(&scene);
         Ok(Self {
             photos,
@@ -194,6 +195,7 @@ impl<'a> Refinement<'a> {
         let first_exposed = first_step(steps);
         if first == 0 {
             self.evaluate(0)?;
+            self.smooth()?;
         }
         self.photos.fill(&self.training)?;
         for step in first..steps {
@@ -241,6 +243,9 @@ impl<'a> Refinement<'a> {
                     changed
                 })?;
             }
+            if done.is_multiple_of(interval) {
+                self.smooth()?;
+            }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
             let snapshots = |done: usize| done * self.options.snapshots / steps;
@@ -258,6 +263,11 @@ impl<'a> Refinement<'a> {
         }
         self.keep();
         Ok(None)
+    }
+
+    fn smooth(&mut self) -> Result<()> {
+        let Self { gaussians, photos, cameras, training, .. } = self;
+        gaussians.smooth(|| training.iter().map(|i| photos.camera(*i, &cameras.all()[*i], 1)).collect())
     }
 
     /// Keeps the best scene.

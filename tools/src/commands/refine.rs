@@ -180,7 +180,7 @@ impl Refine {
             seed: self.seed,
             profile: self.explain,
             checkpoint: Some(checkpoint),
-            ..self.settings.request(self.steps)
+            ..self.settings.request(self.steps, self.input.antialiased)
         };
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
         Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))

@@ -1,5 +1,5 @@
 use super::Initialization;
-use crate::options::Size;
+use crate::options::{Antialiasing, Size};
 use clap::{Arg, ArgGroup, Args, ValueEnum};
 use std::{
     ffi::OsString,
@@ -176,7 +176,7 @@ impl RefineSettings {
         Ok(largest.map_or([width, height], |(width, height)| [width, height]))
     }
 
-    pub fn request(&self, RefineTask { length, .. }: RefineTask) -> RefineOptions {
+    pub fn request(&self, RefineTask { length, .. }: RefineTask, antialiased: Antialiasing) -> RefineOptions {
         let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
         RefineOptions {
             length,
@@ -188,6 +188,7 @@ impl RefineSettings {
                 Exposure::Off => refine::Exposure::Off,
                 Exposure::On => refine::Exposure::On,
             },
+            antialiased: antialiased.given(),
             max_gaussians: self.max_gaussians,
             perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),
             ..RefineOptions::default()

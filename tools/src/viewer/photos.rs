@@ -9,7 +9,7 @@ use crate::{
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
     html::data_url,
-    options::{Network, Quality, Weights, parse_length},
+    options::{Antialiasing, Network, Quality, Weights, parse_length},
     photos::{self, Reading},
     refinement::{Initialization, RefineArgs, placed},
     session::Session,
@@ -213,7 +213,12 @@ impl FromPhotos {
         Ok(ratios)
     }
 
-    pub fn watched(&self, session: &mut Session<'_>, ready: &Ready<'_>) -> Result<Option<Watched>> {
+    pub fn watched(
+        &self,
+        session: &mut Session<'_>,
+        ready: &Ready<'_>,
+        antialiased: Antialiasing,
+    ) -> Result<Option<Watched>> {
         let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
         let to_scene = first.camera.pose.inverse();
@@ -240,7 +245,7 @@ impl FromPhotos {
                 shown.filter(|_| from == Initialization::Scene),
             )
         };
-        let request = self.refine.settings.request(steps);
+        let request = self.refine.settings.request(steps, antialiased);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched::new(start, tokens, photos, cameras, request)))

@@ -209,7 +209,7 @@ fn refine(
     steps: RefineTask,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
-    let request = eval.refine.settings.request(steps);
+    let request = eval.refine.settings.request(steps, eval.external.input.antialiased);
     let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
     match refined.stop_reason {
         Some(StopReason::Cancelled) => Err(Error::Cancelled),

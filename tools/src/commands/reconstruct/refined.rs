@@ -56,7 +56,7 @@ impl Reconstruct {
         let masks = self.finding.masks();
         let checkpoint = Some(refinement::checkpoint(self.output(), photos, masks.as_ref())?);
         let photos = PhotoFiles::new(photos, frames, masks)?;
-        let request = RefineOptions { checkpoint, ..self.refine.settings.request(steps) };
+        let request = RefineOptions { checkpoint, ..self.refine.settings.request(steps, self.antialiased) };
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
