@@ -15,6 +15,7 @@ mod download;
 mod explain;
 mod heic;
 mod html;
+mod known_depth;
 mod legacy;
 mod lifted;
 mod masks;

@@ -33,7 +33,7 @@ impl Smoothing {
         let cameras = rec.input::<CameraRows>("cameras", camera_count);
         let sizes = rec.input::<[u32; 2]>("sizes", camera_count);
         record_least_scales(&mut rec, scene.means, [cameras, sizes], least_scales, drawing.near_plane(), scene.len);
-        record_smoothing(&mut rec, scene.scales, Some(scene.opacities), least_scales, scene.len);
+        record_smoothing(&mut rec, scene.scales, (std::env::var("ZS_EXP").ok().as_deref() != Some("never")).then_some(scene.opacities), least_scales, scene.len);
         Ok(Self { run: Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])?, cameras, sizes })
     }
 

@@ -245,10 +245,12 @@ impl FromPhotos {
                 shown.filter(|_| from == Initialization::Scene),
             )
         };
-        let request = self.refine.settings.request(steps, antialiased);
+        let settings = &self.refine.settings;
+        let known = settings.known_depth(session, (&ready.photos, &frames), &cameras, 1.0)?;
+        let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind));
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
-        Ok(Some(Watched::new(start, tokens, photos, cameras, request)))
+        Ok(Some(Watched::new(start, tokens, (photos, known), cameras, request)))
     }
 }
 
