@@ -161,8 +161,7 @@ pub struct SceneInput {
 #[derive(Args, Clone, Copy)]
 pub struct Antialiasing {
     /// Whether the scene is antialiased: pictures fade Gaussians thinner than a pixel, as in
-    /// Mip-Splatting; refinement also keeps them as large as the photos resolve [default: as the
-    /// scene's file states]
+    /// Mip-Splatting [default: as its file states]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     antialiased: Option<bool>,
 }

@@ -7,7 +7,6 @@ use super::{
     growth::padded,
     planned::{PhotoLoss, PhotoPlan, Training, record_photos},
     record_adam, record_anisotropy_limit,
-    smoothing::{Smoothing, record_smoothing},
     views::View,
 };
 use crate::{
@@ -17,7 +16,7 @@ use crate::{
     stages::render::{
         FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, SceneGradients, SceneTensors, first_capacity,
     },
-    types::{Camera, Scene, unit_quaternion},
+    types::{Scene, unit_quaternion},
 };
 use std::sync::Arc;
 
@@ -64,9 +63,6 @@ pub(super) struct Gaussians {
     pub(super) tokens: Option<([Tensor; 3], Run)>,
     options: RefineOptions,
     learns_exposures: bool,
-    /// `[len]`, the lower limit of scales, if antialiased.
-    least_scales: Option<Tensor>,
-    smoothing: Option<Smoothing>,
     clear: Run,
     /// Also clears the gradients.
     update: Run,
@@ -87,7 +83,6 @@ impl Gaussians {
         let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
         let mut layout = ResidentLayout::new(device.limits());
         let [values, gradients, first, second] = [(); 4].map(|()| counts.map(|count| layout.add::<f32>(count)));
-        let least_scales = (options.antialiased.unwrap_or(scene.antialiased) && std::env::var("ZS_EXP").ok().as_deref() != Some("2d")).then(|| layout.add::<f32>(len));
         let memory = Arc::new(Resident::new(device, &layout)?);
         let LearningRates { means, scales, quats, opacities, sh_coeffs, sh_higher, .. } = options.learning_rates;
         let width = 3 * scene.sh_coeffs_per_gaussian() as u32;
@@ -107,14 +102,14 @@ impl Gaussians {
             penalty: penalties[i] / len as f32,
         };
         let fields = [0, 1, 2, 3, 4].map(field);
-        let update = update(arena, &memory, &fields, least_scales)?;
+        let update = update(arena, &memory, &fields)?;
         write(&memory, values, scene)?;
-        let zero = first.into_iter().chain(second).chain(least_scales).map(|tensor| (tensor, 0.0));
+        let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
         filling(arena, &memory, zero)?.execute()?;
         let begin = [0, 1, 2, 3, 4].map(|i| (fields[i].gradient, fields[i].penalty));
         let tensors = scene_tensors(values, len, scene.sh_degree);
         let gaussians = Self::of(arena, options, vec![memory], tensors, begin, update)?;
-        Ok(Self { fields: fields.into(), least_scales, ..gaussians })
+        Ok(Self { fields: fields.into(), ..gaussians })
     }
 
     pub(super) fn of(
@@ -143,8 +138,6 @@ impl Gaussians {
             tokens: None,
             options: options.clone(),
             learns_exposures: false,
-            least_scales: None,
-            smoothing: None,
             clear,
             update: update.in_flight()?,
             schedule,
@@ -213,9 +206,6 @@ impl Gaussians {
                 state.tensor(&format!("{name}{end}"), &self.memories[0], tensor)?;
             }
         }
-        if let Some(least_scales) = self.least_scales {
-            state.tensor("least_scales", &self.memories[0], least_scales)?;
-        }
         match &mut self.tokens {
             Some((_, forward)) if state.loads() => forward.execute().map(drop),
             _ => Ok(()),
@@ -230,18 +220,6 @@ impl Gaussians {
     /// Draws with the renderer's defaults for `scene`.
     pub fn draw_as(&mut self, scene: &Scene) {
         self.drawing = RenderOptions::default().for_scene(scene);
-    }
-
-    /// Recomputes the lower limit of scales from full-size training cameras, if antialiased.
-    pub fn smooth(&mut self, cameras: impl FnOnce() -> Result<Vec<Camera>>) -> Result<()> {
-        let Some(least_scales) = self.least_scales else { return Ok(()) };
-        let cameras = cameras()?;
-        if self.smoothing.is_none() {
-            let (arena, memory) = (&self.arena, &self.memories[0]);
-            let smoothing = Smoothing::new(arena, memory, &self.scene, least_scales, &self.drawing, cameras.len())?;
-            self.smoothing = Some(smoothing);
-        }
-        self.smoothing.iter_mut().try_for_each(|smoothing| smoothing.execute(&cameras))
     }
 
     /// Draws a photo's camera: `[height][width][rgb]` and the number of tile intersections.
@@ -382,12 +360,7 @@ pub(super) fn record_fills(rec: &mut Recorder, fills: impl Iterator<Item = (Tens
     fills.for_each(|(tensor, value)| rec.fill(tensor, value.to_bits()));
 }
 
-fn update(
-    arena: &Arena,
-    memory: &Arc<Resident>,
-    fields: &[Field],
-    least_scales: Option<Tensor>,
-) -> Result<(Run, Tensor)> {
+fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
     let mut rec = Recorder::new(arena.device().limits());
     let schedule = rec.input::<f32>("schedule", 4);
     rec.scope("adam", |rec| {
@@ -398,8 +371,6 @@ fn update(
     let Field { values: scales, len, rate, .. } = &fields[1];
     let rate = LIMIT_RATE * rate.first;
     rec.scope("anisotropy", |rec| record_anisotropy_limit(rec, *scales, schedule, MAX_ANISOTROPY, rate, len / 3));
-    let comp = (std::env::var("ZS_EXP").ok().as_deref() == Some("comp")).then(|| fields[3].values);
-    least_scales.iter().for_each(|least| record_smoothing(&mut rec, *scales, comp, *least, len / 3));
     record_fills(&mut rec, fields.iter().map(|field| (field.gradient, field.penalty)));
     Ok((Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])?, schedule))
 }

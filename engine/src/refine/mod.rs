@@ -15,7 +15,6 @@ mod plan;
 mod planned;
 mod refinement;
 mod schedule;
-mod smoothing;
 mod tokens;
 mod views;
 
@@ -28,7 +27,6 @@ pub use exposure::{EXPOSURE_NUMBERS, Exposed};
 pub use options::{DepthLoss, Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use photos::Photos;
 pub use plan::{Moved, RefinePlan, plan_refinement};
-pub use smoothing::{record_least_scales, record_smoothing};
 pub use tokens::FrozenHead;
 
 use crate::{

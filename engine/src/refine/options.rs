@@ -71,8 +71,7 @@ pub struct RefineOptions {
     /// Whether to learn the training photos' exposures.
     pub exposure: Exposure,
     /// Whether to draw and return an antialiased scene (Mip-Splatting), by default
-    /// [`Scene::antialiased`](crate::types::Scene::antialiased). Scales of Gaussians are then at
-    /// least what the training photos resolve; tokens have no such limit.
+    /// [`Scene::antialiased`](crate::types::Scene::antialiased).
     pub antialiased: Option<bool>,
     /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
     /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of

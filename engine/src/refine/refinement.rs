@@ -202,7 +202,6 @@ impl<'a> Refinement<'a> {
         let first_exposed = first_step(steps);
         if first == 0 {
             self.evaluate(0)?;
-            self.smooth()?;
         }
         self.photos.fill(&self.training)?;
         for step in first..steps {
@@ -250,9 +249,6 @@ impl<'a> Refinement<'a> {
                     changed
                 })?;
             }
-            if done.is_multiple_of(interval) {
-                self.smooth()?;
-            }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
             let snapshots = |done: usize| done * self.options.snapshots / steps;
@@ -270,11 +266,6 @@ impl<'a> Refinement<'a> {
         }
         self.keep();
         Ok(None)
-    }
-
-    fn smooth(&mut self) -> Result<()> {
-        let Self { gaussians, photos, cameras, training, .. } = self;
-        gaussians.smooth(|| training.iter().map(|i| photos.camera(*i, &cameras.all()[*i], 1)).collect())
     }
 
     /// Keeps the best scene.

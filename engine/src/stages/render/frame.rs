@@ -50,7 +50,7 @@ impl RenderOptions {
         3 * triples.into_iter().filter(|on| *on).count() + singles.into_iter().filter(|on| *on).count()
     }
 
-    pub(crate) fn near_plane(&self) -> f32 {
+    pub(super) fn near_plane(&self) -> f32 {
         self.near.unwrap_or(NEAR)
     }
 
