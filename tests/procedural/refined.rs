@@ -66,7 +66,8 @@ fn points(capture: &Capture, views: &[usize], step: usize, rough: f64) -> Scene 
 fn refined(scene: &Scene, photos: Known<'_>, options: &RefineOptions) -> RefineResult {
     let cameras: Vec<Camera> = photos.views.iter().map(|view| photos.capture.cameras[*view]).collect();
     let options = RefineOptions { holdout_views: Some(0), ..options.clone() };
-    refine_scene(&Arena::new(device()), scene, photos, &cameras, &options, |_| ControlFlow::Continue(())).expect("it runs")
+    refine_scene(&Arena::new(device()), scene, photos, &cameras, &options, |_| ControlFlow::Continue(()))
+        .expect("it runs")
 }
 
 fn draw(scene: &Scene, cameras: &[Camera]) -> Vec<RenderOutput> {
@@ -81,7 +82,9 @@ fn scores(scene: &Scene, cameras: &[Camera], images: &[Image], depths: &[Vec<f32
         let rgb: Vec<f32> = drawn.rgb.expect("color").iter().map(|value| value.clamp(0.0, 1.0)).collect();
         sum += psnr(&rgb, &values(&images[i])) / images.len() as f64;
         let pairs = drawn.depth.expect("depth").into_iter().zip(depths.get(i).into_iter().flatten().copied());
-        errors.extend(pairs.filter(|(_, truth)| *truth > 0.0).map(|(depth, truth)| f64::from((depth / truth - 1.0).abs())));
+        errors.extend(
+            pairs.filter(|(_, truth)| *truth > 0.0).map(|(depth, truth)| f64::from((depth / truth - 1.0).abs())),
+        );
     }
     errors.sort_by(f64::total_cmp);
     [sum, errors.get(errors.len() / 2).copied().unwrap_or(0.0)]
@@ -118,7 +121,11 @@ fn antialiased_scenes_keep_their_width_at_other_sizes() {
         [(16, 4), (32, 2), (64, 1), (128, 0)].map(|(side, factor)| {
             let images: Vec<Image> = tested
                 .iter()
-                .map(|view| if factor == 0 { large.images[*view].clone() } else { shrunk(&photos.images[*view], factor) })
+                .map(
+                    |view| {
+                        if factor == 0 { large.images[*view].clone() } else { shrunk(&photos.images[*view], factor) }
+                    },
+                )
                 .collect();
             let cameras: Vec<Camera> = tested.iter().map(|view| resized(&photos.cameras[*view], side)).collect();
             scores(&scene, &cameras, &images, &[])[0]

@@ -178,7 +178,11 @@ fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Re
 /// a meter.
 fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let malformed = |found: String| {
-        Error::format(file, None, format!("found {found}, expected a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit"))
+        Error::format(
+            file,
+            None,
+            format!("found {found}, expected a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit"),
+        )
     };
     let opened = File::open(file).map_err(|error| Error::io(file, error))?;
     let mut reader = png::Decoder::new(BufReader::new(opened)).read_info().map_err(|e| malformed(e.to_string()))?;
@@ -262,7 +266,10 @@ fn predict(
     };
     let predicted = options.ask(session, photos, frames)?;
     let maps = predicted.depths.views.iter().zip(&predicted.views).zip(&predicted.photos).zip(frames);
-    let source = |(((map, view), photo), frame): (((&zipsplat::depth::DepthMap, &zipsplat::types::preprocess::View), &PathBuf), &&CaptureView)| {
+    let source = |(((map, view), photo), frame): (
+        ((&zipsplat::depth::DepthMap, &zipsplat::types::preprocess::View), &PathBuf),
+        &&CaptureView,
+    )| {
         let intrinsics = view.map.apply(&frame.camera.intrinsics, &photo.display().to_string())?;
         Ok(Some(Source::Predicted { values: map.depth.as_slice().into(), intrinsics }))
     };

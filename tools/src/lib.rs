@@ -5,6 +5,7 @@
 
 pub mod align;
 mod animation;
+mod antialiasing;
 mod cameras;
 mod capture;
 mod color;

@@ -148,9 +148,9 @@ pub struct DepthLoss {
 
 impl DepthLoss {
     /// Default weight of depth in the scene's unit.
-    pub const METRIC_WEIGHT: f32 = 0.5;
+    pub const METRIC_WEIGHT: f32 = 2.0;
     /// Default weight of relative depth.
-    pub const RELATIVE_WEIGHT: f32 = 0.1;
+    pub const RELATIVE_WEIGHT: f32 = 0.5;
 
     /// Returns the term of default weight.
     pub fn of(kind: DepthKind) -> Self {

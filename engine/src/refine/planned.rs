@@ -12,8 +12,8 @@ use crate::{
         loss::{LossTensors, record_loss, record_masked, record_masked_gradient, record_targets},
         lpips::{Lpips, LpipsPictures},
         render::{
-            CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows, record,
-            record_with_gradients,
+            CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows,
+            record, record_with_gradients,
         },
     },
 };
@@ -123,8 +123,7 @@ pub(super) fn record_photos(
         let exposed = transforms.map(|transforms| Exposed::record(rec, [frames, targets, transforms], shape));
         let frames = exposed.map_or(frames, |exposed| exposed.exposed);
         let frames = masks.map_or(frames, |masks| record_masked(rec, [frames, targets, masks], pixels));
-        let LossTensors { value, d_frames } =
-            record_loss(rec, options.loss, frames, targets, shape, COLORS, scale);
+        let LossTensors { value, d_frames } = record_loss(rec, options.loss, frames, targets, shape, COLORS, scale);
         rec.output(value);
         let perceptual =
             lpips.and_then(|lpips| record_perceptual(rec, lpips, options, [frames, targets, d_frames], shape));
@@ -199,7 +198,8 @@ impl PhotoPlan {
     }
 
     pub fn losses(&self, views: &[&View], depth_weight: f32) -> Result<Vec<PhotoLoss>> {
-        let Learning { losses, perceptual, d_cameras, exposures, depth, .. } = self.recorded.learning.expect("it learns");
+        let Learning { losses, perceptual, d_cameras, exposures, depth, .. } =
+            self.recorded.learning.expect("it learns");
         let mut losses: Vec<f32> = self.run.read(losses)?;
         if let Some((weight, value)) = perceptual {
             losses[0] += weight * self.run.read::<f32>(value)?[0];

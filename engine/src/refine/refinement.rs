@@ -225,7 +225,8 @@ impl<'a> Refinement<'a> {
             if let Some(exposures) = &mut self.exposures {
                 exposures.expose(&mut self.gaussians, &mut views)?;
             }
-            let weights = [self.fraction * self.schedule.rate(step), self.depth_weight * self.schedule.depth_weight(step)];
+            let weights =
+                [self.fraction * self.schedule.rate(step), self.depth_weight * self.schedule.depth_weight(step)];
             let found = self.gaussians.step(&views.iter().collect::<Vec<_>>(), weights)?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
             self.losses.push(loss);

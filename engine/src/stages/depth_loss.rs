@@ -87,21 +87,16 @@ impl DepthFrames {
 
     /// Records parts of the cameras whose frames fit a binding. `record` writes `[cameras, width,
     /// groups]` sums and returns the tensor of their totals.
-    fn each_part(
-        self,
-        rec: &mut Recorder,
-        width: usize,
-        record: impl Fn(&mut Recorder, Part, Tensor) -> Tensor,
-    ) {
+    fn each_part(self, rec: &mut Recorder, width: usize, record: impl Fn(&mut Recorder, Part, Tensor) -> Tensor) {
         let pixels = pixels_of(self.shape);
         let groups = pixels.div_ceil(RUN * rec.limits().subgroup_size as usize);
-        for cameras in row_chunks(rec, self.shape.cameras, &[4 * CHANNELS * pixels]) {
+        let widths = [CHANNELS, 3, 1].map(|channels| size_of::<f32>() * channels * pixels);
+        for cameras in row_chunks(rec, self.shape.cameras, &widths) {
             let [first, count] = [cameras.start as u32, cameras.len() as u32];
             let part = Part { first, cameras: count, pixels: pixels as u32, groups: groups as u32 };
             let sums = rec.tensor::<f32>("sums", width * cameras.len() * groups);
             let values = record(rec, part, sums);
-            let kernel =
-                Value { sums, values, first: width as u32 * first, count: groups as u32, scale: 1.0 };
+            let kernel = Value { sums, values, first: width as u32 * first, count: groups as u32, scale: 1.0 };
             rec.dispatch_groups(kernel, width * cameras.len());
         }
     }

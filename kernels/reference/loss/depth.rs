@@ -15,7 +15,7 @@ pub fn line(frames: &[f64], targets: &[f64]) -> Option<[f64; 2]> {
     let [t, y] = [mean(&|pair| pair[0]), mean(&|pair| pair[1])];
     let spread = mean(&|pair| (pair[0] - t).powi(2));
     let slope = mean(&|pair| (pair[0] - t) * (pair[1] - y)) / spread;
-    (spread > 1e-5 * mean(&|pair| pair[0].powi(2)) && slope > 0.0).then(|| [slope, y - slope * t])
+    (spread > 1e-5 * mean(&|pair| pair[0].powi(2)) && slope > 0.0).then_some([slope, y - slope * t])
 }
 
 /// Returns the loss of `frames` `[pixels, 5]` and its gradient by depth `[pixels]`, for a line.

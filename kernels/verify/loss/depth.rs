@@ -48,7 +48,13 @@ impl Problem {
             let target = 2.0 + spread[i];
             let scale = slope * (1 + i / pixels) as f32;
             let inverse = if slope > 0.0 { 0.4 + scale * target } else { 4.0 + scale * target } + 0.3 * off[i];
-            frames.extend([colors[3 * i], colors[3 * i + 1], colors[3 * i + 2], 0.7 + 0.3 * known[2 * i], 1.0 / inverse]);
+            frames.extend([
+                colors[3 * i],
+                colors[3 * i + 1],
+                colors[3 * i + 2],
+                0.7 + 0.3 * known[2 * i],
+                1.0 / inverse,
+            ]);
             targets.push(if known[2 * i + 1] > 0.6 { 0.0 } else { target });
         }
         Self { pixels, kind, frames, targets, d_colors: noise.values(3 * count) }

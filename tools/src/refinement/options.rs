@@ -1,9 +1,5 @@
 use super::Initialization;
-use crate::{
-    known_depth::KnownDepth,
-    options::{Antialiasing, Size},
-    session::Session,
-};
+use crate::{antialiasing::Antialiasing, known_depth::KnownDepth, options::Size, session::Session};
 use clap::{Arg, ArgGroup, Args, ValueEnum};
 use std::{
     ffi::OsString,
@@ -138,7 +134,7 @@ pub struct RefineSettings {
     /// inverse depth is fitted to each photo by a scale and a shift
     #[arg(long, value_name = "FOLDER|NETWORK")]
     depth_loss: Option<PathBuf>,
-    /// Initial weight of depth in the loss; it falls to a hundredth [default: 0.5; 0.1 for a
+    /// Initial weight of depth in the loss; it falls to a hundredth [default: 2; 0.5 for a
     /// network's]
     #[arg(long, value_name = "WEIGHT", requires = "depth_loss", value_parser = parse_weight)]
     depth_weight: Option<f32>,

@@ -6,10 +6,11 @@ use super::{
     watched::Target,
 };
 use crate::{
+    antialiasing::Antialiasing,
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
     html::data_url,
-    options::{Antialiasing, Network, Quality, Weights, parse_length},
+    options::{Network, Quality, Weights, parse_length},
     photos::{self, Reading},
     refinement::{Initialization, RefineArgs, placed},
     session::Session,

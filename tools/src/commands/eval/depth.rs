@@ -3,11 +3,7 @@ use crate::{
     known_depth::read_npy,
 };
 use std::path::Path;
-use zipsplat::{
-    Error, Result,
-    depth::add_view,
-    types::Scene,
-};
+use zipsplat::{Error, Result, depth::add_view, types::Scene};
 
 /// Returns a scene at the network's size, in the capture's world and unit.
 pub fn scene(folder: &Path, choice: &Choice, capture: &ViewSplit) -> Result<Scene> {

@@ -9,8 +9,9 @@ mod world;
 
 use super::render::Render;
 use crate::{
+    antialiasing::Antialiasing,
     cameras::{Finding, KnownCameras, Place},
-    options::{Antialiasing, Network, Quality, Size, Weights, parse_length, refuse},
+    options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::PhotoArgs,
     refinement::{self, Initialization, RefineArgs, placed, save_cameras},
