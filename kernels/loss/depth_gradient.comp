@@ -7,9 +7,9 @@
 // DFrames [C, pixels, 5] f32: DColors, 0, gradient by depth
 // Sums    [C, groups] f32, of the loss
 //
-// The loss is the mean of |y - (a t + b)| over pixels with targets t and inverse depth y. If FITTED,
-// a and b are the least squares line, constants of the gradient, and without a rising line there is
-// no loss; else 1 and 0. One subgroup owns RUN pixels a lane.
+// The loss is the mean of |y - (a t + b)| over pixels with targets t and inverse depth y. If
+// FITTED, a and b are the least squares line, constants of the gradient, and without a rising line
+// there is no loss; else 1 and 0. One subgroup owns RUN pixels a lane.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

@@ -174,8 +174,8 @@ fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Re
     Err(Error::argument(file.display().to_string(), format!("{width}x{height}"), expected))
 }
 
-/// Reads 16-bit levels, as `render --depth` and many sensors write them: millimeters, if the unit is
-/// a meter.
+/// Reads 16-bit levels, as `render --depth` and many sensors write them: millimeters, if the unit
+/// is a meter.
 fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let malformed = |found: String| {
         Error::format(
@@ -265,13 +265,11 @@ fn predict(
         request: DepthOptions::default(),
     };
     let predicted = options.ask(session, photos, frames)?;
-    let maps = predicted.depths.views.iter().zip(&predicted.views).zip(&predicted.photos).zip(frames);
-    let source = |(((map, view), photo), frame): (
-        ((&zipsplat::depth::DepthMap, &zipsplat::types::preprocess::View), &PathBuf),
-        &&CaptureView,
-    )| {
-        let intrinsics = view.map.apply(&frame.camera.intrinsics, &photo.display().to_string())?;
-        Ok(Some(Source::Predicted { values: map.depth.as_slice().into(), intrinsics }))
+    let source = |(i, frame): (usize, &&CaptureView)| {
+        let label = photos[i].display().to_string();
+        let intrinsics = predicted.views[i].map.apply(&frame.camera.intrinsics, &label)?;
+        let values = predicted.depths.views[i].depth.as_slice().into();
+        Ok(Some(Source::Predicted { values, intrinsics }))
     };
-    maps.map(source).collect()
+    frames.iter().enumerate().map(source).collect()
 }

@@ -72,8 +72,8 @@ pub struct zs_image {
     pub mask: *const u8,
     /// Bytes between rows of the mask, as `stride`.
     pub mask_stride: i64,
-    /// height x width, for zs_refine_options.depth_loss: known depth along the camera's z axis, 0 if
-    /// unknown; or NULL.
+    /// height x width, for zs_refine_options.depth_loss: known depth along the camera's z axis, 0
+    /// if unknown; or NULL.
     pub depth: *const f32,
 }
 

@@ -85,8 +85,8 @@ pub enum zs_depth_loss {
     ZS_DEPTH_LOSS_OFF = 0,
     /// In the scene's unit.
     ZS_DEPTH_LOSS_METRIC = 1,
-    /// Relative, as of a depth network: its inverse is fitted to each photo's rendered one by a scale
-    /// and a shift.
+    /// Relative, as of a depth network: its inverse is fitted to each photo's rendered one by a
+    /// scale and a shift.
     ZS_DEPTH_LOSS_RELATIVE = 2,
 }
 
