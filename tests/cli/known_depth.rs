@@ -24,7 +24,7 @@ fn save_levels(path: &Path, [width, height]: [u32; 2], values: &[f32]) {
 
 #[test]
 fn known_depth_joins_the_loss() {
-    let folder = place();
+    let folder = place().with_depth();
     let line = |options: &str| {
         let start = "--init points --steps 12 --holdout-views 0";
         format!("refine {PHOTOS} {start} -o @/scene.ply --overwrite {options}")
@@ -46,7 +46,7 @@ fn known_depth_joins_the_loss() {
     let text = outcome.success();
     assert!(text.contains("in the cameras' unit; weight 2") && folder.read("scene.ply") != metric, "{text}");
     // A network's, predicted and from its file.
-    folder.run("depth @/place/images --weights @/da3.safetensors -o @/predicted").success();
+    folder.run("depth @/place/images --weights @/da3.safetensors --input-size 42 -o @/predicted").success();
     let text = folder.run(&line("--depth-loss @/predicted --explain")).success();
     let from_file = folder.read("scene.ply");
     assert!(text.contains("100.0 % of the pixels, relative") && from_file != without, "{text}");
@@ -67,7 +67,7 @@ fn evaluations_and_reconstructions_take_known_depth() {
     assert!(json["refined"]["depth_fraction"].as_f64() > Some(0.5), "{json}");
     assert!(Scene::open(folder.path("scene.ply")).expect("a scene").antialiased);
     let bytes = |options: &str| {
-        let json = folder.run(&format!("reconstruct --dry-run --views 4 {micro} {options} --json")).json();
+        let json = folder.run(&format!("reconstruct {PHOTOS} --dry-run {micro} {options} --json")).json();
         json["refine_arena_bytes"].as_u64().expect("bytes")
     };
     assert!(bytes("--depth-loss @/place/depth") > bytes(""));
@@ -81,7 +81,7 @@ fn unusable_depth_is_named() {
     };
     std::fs::create_dir(folder.path("other")).expect("a folder");
     fails("--depth-loss @/other", &["other", "none for 000.png", "NAME.npy"]);
-    fails("--depth-loss @/none", &["none", "da3-small"]);
+    fails("--depth-loss nowhere", &["nowhere", "da3-small"]);
     let mut bytes = folder.read("place/depth/000.npy");
     bytes[128 + 4 * 43..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
     folder.write("other/000.npy", &bytes);

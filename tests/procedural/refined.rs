@@ -157,7 +157,8 @@ fn known_depth_of_few_photos_improves_other_views() {
         [None, Some(DepthKind::Metric), Some(DepthKind::Relative)].map(|kind| score(kind.map(DepthLoss::of)));
     println!("PSNR and depth error: {without:.4?}, known depth {metric:.4?}, relative depth {relative:.4?}");
     assert!(metric[0] > without[0] + 0.5 && metric[1] < 0.7 * without[1], "{metric:?}, {without:?}");
-    assert!(relative[0] > without[0] && relative[1] < without[1], "{relative:?}, {without:?}");
+    // The fit keeps the scale of the rough points.
+    assert!(relative[0] > without[0] + 0.5, "{relative:?}, {without:?}");
 }
 
 /// The depth of photos without any has no effect, to the bit.
