@@ -26,6 +26,7 @@ mod heads {
     pub mod resize;
 }
 mod loss {
+    pub mod depth;
     pub mod gradient;
     pub mod targets;
 }
@@ -332,6 +333,7 @@ pub fn catalog() -> Vec<Area> {
         render::forward::area(),
         loss::targets::area(),
         loss::gradient::area(),
+        loss::depth::area(),
         render::backward::rasterize::area(),
         render::backward::color(),
         render::backward::project(),

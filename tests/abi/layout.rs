@@ -25,7 +25,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_progress { struct_size, reserved, fraction, stage, step, steps, loss, psnr, eta_seconds }
         zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, unusable_reason, uuid }
         zs_device_options { struct_size, validation, max_memory_bytes, device, cache_dir }
-        zs_image { struct_size, format, width, height, stride, pixels, mask, mask_stride }
+        zs_image { struct_size, format, width, height, stride, pixels, mask, mask_stride, depth }
         zs_masks { struct_size, inverted, folder }
         zs_pixel_values { struct_size, width, height, reserved, values }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
@@ -55,7 +55,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_depth_map { struct_size, reserved, width, height, depth, confidence, sky, camera, image_camera }
         zs_refine_options {
             struct_size, steps, views_per_step, holdout_views, max_image_size, target, optimize_cameras, perceptual_weight,
-            exposure, seed, max_gaussians, progress, user_data, seconds
+            exposure, seed, max_gaussians, progress, user_data, seconds, antialiasing, depth_loss, depth_weight, reserved
         }
         zs_refine_result {
             struct_size, stop_reason, steps, best_step, initial_loss, final_loss, initial_psnr, best_psnr, seconds,
@@ -103,6 +103,7 @@ fn constants() -> Vec<(String, usize)> {
         zs_exposure_mode { ZS_EXPOSURE_AUTO, ZS_EXPOSURE_OFF, ZS_EXPOSURE_ON }
         zs_stop_reason { ZS_STOP_REASON_FINISHED, ZS_STOP_REASON_STOPPED, ZS_STOP_REASON_DIVERGED }
         zs_depth_mode { ZS_DEPTH_MODE_EXPECTED, ZS_DEPTH_MODE_ACCUMULATED }
+        zs_depth_loss { ZS_DEPTH_LOSS_OFF, ZS_DEPTH_LOSS_METRIC, ZS_DEPTH_LOSS_RELATIVE }
         zs_antialiasing { ZS_ANTIALIASING_AUTO, ZS_ANTIALIASING_ON, ZS_ANTIALIASING_OFF }
         zs_requirement_kind { ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE }
     };

@@ -17,6 +17,7 @@ mod examples;
 mod gradients;
 mod header;
 mod installation;
+mod known_depth;
 mod layout;
 mod lost;
 mod memory;

@@ -23,13 +23,13 @@ use zipsplat_tests::{
     scenes::{camera, random_scene},
 };
 
-struct Place {
-    cameras: Vec<Camera>,
-    photos: Vec<Image>,
-    moved: Scene,
+pub struct Place {
+    pub cameras: Vec<Camera>,
+    pub photos: Vec<Image>,
+    pub moved: Scene,
 }
 
-fn place(count: usize) -> Place {
+pub fn place(count: usize) -> Place {
     let at = |i: usize| {
         let mut camera = camera(48, 36);
         camera.pose.translation.x += 0.05 * i as f64;
@@ -56,7 +56,7 @@ impl Place {
             .expect("a scene")
     }
 
-    fn c_cameras(&self) -> Vec<zs_camera> {
+    pub fn c_cameras(&self) -> Vec<zs_camera> {
         let in_c = |camera: &Camera| {
             let rotation = camera.pose.rotation.transpose().to_cols_array();
             camera_of(camera.intrinsics, rotation, camera.pose.translation.to_array())

@@ -14,6 +14,7 @@ mod external_scene;
 mod heic;
 mod host;
 mod info;
+mod known_depth;
 mod mapping;
 mod masks;
 mod measure;

@@ -52,6 +52,25 @@ fn points_become_a_scene_that_looks_like_the_photos() {
 }
 
 #[test]
+fn scenes_are_antialiased_as_asked_or_as_tagged() {
+    let folder = place();
+    let refined = |files: &str, options: &str, output: &str| {
+        folder.run(&format!("refine {files} {PHOTOS} --steps 2 {options} -o @/{output} --overwrite")).success();
+        Scene::open(folder.path(output)).expect("a scene").antialiased
+    };
+    assert!(!refined("", "--init points", "plain.ply"));
+    for output in ["tagged.ply", "tagged.spz", "tagged.sog"] {
+        assert!(refined("", "--init points --antialiased", output), "{output}");
+        assert!(refined(&format!("@/{output}"), "", "again.ply"), "{output}");
+    }
+    assert!(!refined("@/tagged.ply", "--antialiased=false", "again.ply"));
+    let eval = "eval @/place --views 3 --weights @/micro.safetensors --input-size 28x28 --lpips none -o @/out";
+    folder.run(&format!("{eval} --antialiased")).fails(3, &["--antialiased", "--refine"]);
+    folder.run("view @/place/images --antialiased -o @/page.html").fails(3, &["--antialiased", "--refine"]);
+    folder.run("reconstruct @/place/images --antialiased -o @/scene.ply").fails_usage();
+}
+
+#[test]
 fn a_scene_is_refined_in_its_own_world() {
     let folder = place();
     let reconstruct = "reconstruct @/place/images --cameras @/place --weights @/micro.safetensors --input-size 28x28";

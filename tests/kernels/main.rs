@@ -29,6 +29,7 @@ mod heads {
     mod convolution;
 }
 mod loss {
+    mod depth;
     mod gradient;
     mod targets;
 }

@@ -5,6 +5,7 @@ mod coverage;
 mod geometry;
 mod pictures;
 mod rays;
+mod refined;
 mod storage;
 
 use zipsplat_cli::procedural::{Capture, Options, Photos, Setup};

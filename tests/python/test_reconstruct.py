@@ -186,6 +186,12 @@ def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path, tmp_
     assert len(model.reconstruct(opened, input_size=SIZE, masks=folder)) <= len(coarse)
     with pytest.raises(zipsplat.ArgumentError, match="mask 0"):
         coarse.refine(opened, steps=1, masks=masks[:, :-1])
+    assert coarse.refine(opened, steps=2, antialiased=True).antialiased and not sharp.antialiased
+    depths = [None, np.full(photos.shape[1:3], 2.0), np.full(photos.shape[1:3], 2.0)]
+    assert not same(coarse.refine(opened, steps=15, depths=depths), sharp)
+    for wrong, word in ((depths[:2], "2 depths"), ([None, depths[1][1:], None], "depth 1"), ([None] * 3, "NULL in all")):
+        with pytest.raises(zipsplat.ArgumentError, match=word):
+            coarse.refine(opened, steps=1, depths=wrong)
     with pytest.raises(zipsplat.ArgumentError, match="no alpha channel"):
         coarse.refine(opened, steps=1, masks="alpha")
     moved = coarse.refine(opened, steps=15, optimize_cameras=True).refinement

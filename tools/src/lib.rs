@@ -5,6 +5,7 @@
 
 pub mod align;
 mod animation;
+mod antialiasing;
 mod cameras;
 mod capture;
 mod color;
@@ -15,6 +16,7 @@ mod download;
 mod explain;
 mod heic;
 mod html;
+mod known_depth;
 mod legacy;
 mod lifted;
 mod masks;

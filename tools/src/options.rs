@@ -1,4 +1,5 @@
 use crate::{
+    antialiasing::Antialiasing,
     depth::DEPTH_WEIGHTS,
     released::{self, is_of_depth, open_depth},
     session::Session,
@@ -154,22 +155,25 @@ pub struct SceneInput {
     /// Drop Gaussians with NaN, infinite or out-of-range values, which are otherwise an error
     #[arg(long)]
     drop_invalid: bool,
-    /// Whether the scene is antialiased: pictures fade Gaussians thinner than a pixel, as in
-    /// Mip-Splatting [default: as its file states]
-    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
-    pub antialiased: Option<bool>,
+    #[command(flatten)]
+    pub antialiased: Antialiasing,
 }
 
 impl SceneInput {
     /// Rejects options of scenes for other input.
     pub fn refuse(&self, found: &str, expected: &str) -> Result<()> {
-        refuse("--drop-invalid", self.drop_invalid, found, expected)?;
-        refuse("--antialiased", self.antialiased.is_some(), found, expected)
+        self.refuse_dropping(found, expected)?;
+        self.antialiased.refuse(found, expected)
+    }
+
+    /// Rejects `--drop-invalid` for other input.
+    pub fn refuse_dropping(&self, found: &str, expected: &str) -> Result<()> {
+        refuse("--drop-invalid", self.drop_invalid, found, expected)
     }
 
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| Scene::open_unchecked(path))?;
-        scene.antialiased = self.antialiased.unwrap_or(scene.antialiased);
+        scene.antialiased = self.antialiased.given().unwrap_or(scene.antialiased);
         if !self.drop_invalid {
             let refused =
                 |error| Error::format(path, None, format!("{error}; --drop-invalid leaves such Gaussians out"));

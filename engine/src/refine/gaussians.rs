@@ -68,10 +68,12 @@ pub(super) struct Gaussians {
     update: Run,
     schedule: Tensor,
     cleared: bool,
+    /// Of the current step.
+    depth_weight: f32,
     lpips: Option<LpipsWeights>,
     steps: u32,
-    /// By size and whether photos have masks.
-    plans: PlanCache<bool, PhotoPlan>,
+    /// By size and whether photos have masks and depth.
+    plans: PlanCache<[bool; 2], PhotoPlan>,
     batch_size: usize,
 }
 
@@ -140,6 +142,7 @@ impl Gaussians {
             update: update.in_flight()?,
             schedule,
             cleared: false,
+            depth_weight: 0.0,
             lpips,
             steps: 0,
             plans: PlanCache::new(limits, capacity),
@@ -147,7 +150,8 @@ impl Gaussians {
         })
     }
 
-    pub fn step(&mut self, views: &[&View], rate: f32) -> Result<Vec<PhotoLoss>> {
+    pub fn step(&mut self, views: &[&View], [rate, depth_weight]: [f32; 2]) -> Result<Vec<PhotoLoss>> {
+        self.depth_weight = depth_weight;
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
         let found = loop {
@@ -167,7 +171,7 @@ impl Gaussians {
 
     /// `None` if the capacity was exceeded; it then grows.
     fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<PhotoLoss>>> {
-        let mut found = Vec::new();
+        let (mut found, depth_weight) = (Vec::new(), self.depth_weight);
         for alike in views.chunk_by(|a, b| a.size == b.size) {
             let mut left = alike;
             while !left.is_empty() {
@@ -177,7 +181,7 @@ impl Gaussians {
                 let (views, behind) = left.split_at(count);
                 match self.run(views, true) {
                     Ok(Some(plan)) => {
-                        found.extend(plan.losses(views)?);
+                        found.extend(plan.losses(views, depth_weight)?);
                         left = behind;
                     }
                     Ok(None) => return Ok(None),
@@ -230,8 +234,9 @@ impl Gaussians {
     /// Runs the plan of photos of one size. Returns `None` after an overflow; the next is larger.
     fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
         self.cleared &= !backward;
+        let depth_weight = self.depth_weight;
         let plan = self.plan(views, backward)?;
-        plan.write(views)?;
+        plan.write(views, depth_weight)?;
         plan.run.execute()?;
         let needed = plan.recorded.outputs.needed(&plan.run)?;
         self.plans.fitting(needed)
@@ -244,8 +249,9 @@ impl Gaussians {
     fn plan(&mut self, views: &[&View], backward: bool) -> Result<&mut PhotoPlan> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
-        let masked = backward && views.iter().any(|view| view.image.mask.is_some());
-        self.plans.get(PlanKey { shape, backward, options: masked }, |capacity| {
+        let [masked, depth] = [|view: &&View| view.image.mask.is_some(), |view: &&View| view.depth.is_some()]
+            .map(|has: fn(&&View) -> bool| backward && views.iter().any(has));
+        self.plans.get(PlanKey { shape, backward, options: [masked, depth] }, |capacity| {
             let mut rec = Recorder::new(self.arena.device().limits());
             let lpips = self.lpips.as_ref().map(|weights| &weights.lpips);
             let training = backward.then_some(Training {
@@ -254,6 +260,7 @@ impl Gaussians {
                 lpips,
                 exposure: self.learns_exposures,
                 masked,
+                depth,
             });
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, &self.drawing, training);
             let weights = self.lpips.iter().map(|weights| weights.resident.clone());
@@ -297,8 +304,9 @@ impl Gaussians {
         let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.batch_size).collect();
         // Until no intersection overflows.
         while self.run(&alike, true)?.is_none() {}
+        let depth_weight = self.depth_weight;
         let plan = self.plan(&alike, true)?;
-        plan.write(&alike)?;
+        plan.write(&alike, depth_weight)?;
         let mut profile = plan.run.profile()?;
         self.update.write(self.schedule, &ADAM.schedule(0.0, self.steps.max(1)))?;
         profile.rows.extend(self.update.profile()?.rows);

@@ -4,6 +4,7 @@ mod adam;
 mod anisotropy;
 mod cameras;
 mod checkpoint;
+mod depth;
 mod exposure;
 mod free_space;
 mod gaussians;
@@ -17,12 +18,13 @@ mod schedule;
 mod tokens;
 mod views;
 
+pub use crate::stages::depth_loss::DepthKind;
 pub use adam::{Adam, Rate, Space, record_adam};
 pub use anisotropy::record_anisotropy_limit;
 pub use cameras::PoseAdam;
 pub use checkpoint::RefineCheckpoint;
 pub use exposure::{EXPOSURE_NUMBERS, Exposed};
-pub use options::{Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
+pub use options::{DepthLoss, Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use photos::Photos;
 pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use tokens::FrozenHead;
@@ -118,6 +120,8 @@ pub struct RefineResult {
     pub training_psnr: [f64; 2],
     /// Fraction of the pixels that masks ignore in those photos.
     pub masked_fraction: f64,
+    /// Fraction of those pixels with known depth, for [`RefineOptions::depth_loss`].
+    pub depth_fraction: f64,
     /// Indices of the held-out photos.
     pub holdout_views: Vec<usize>,
     /// Steps with a new size, and the largest photo's width and height from then on.
@@ -241,7 +245,8 @@ fn run(
     let mut options = filled(options, count)?;
     let (arena, _claim) = arena.claimed();
     let cache = |options: &RefineOptions| {
-        PhotoCache::new(photos, options.max_image_size, options.coarse_to_fine, options.max_photo_bytes)
+        let depth = options.depth_loss.map(|loss| loss.kind);
+        PhotoCache::new(photos, options.max_image_size, options.coarse_to_fine, options.max_photo_bytes, depth)
     };
     let mut cached = cache(&options);
     let refinement = |options: RefineOptions, steps: usize, cached| {

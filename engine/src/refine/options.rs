@@ -1,7 +1,7 @@
 //! Settings of a refinement.
 
 use super::{DETAIL, RefineCheckpoint};
-use crate::stages::{loss::Loss, lpips::LpipsNetwork};
+use crate::stages::{depth_loss::DepthKind, loss::Loss, lpips::LpipsNetwork};
 use std::time::Duration;
 
 /// Length of a refinement.
@@ -62,12 +62,17 @@ pub struct RefineOptions {
     pub loss: Loss,
     /// LPIPS term for photos large enough; it prevents batching. `None` needs no LPIPS weights.
     pub perceptual_loss: Option<PerceptualLoss>,
+    /// Depth term for photos with known depth, [`Photos::depth`](super::Photos::depth).
+    pub depth_loss: Option<DepthLoss>,
     /// Learning rates.
     pub learning_rates: LearningRates,
     /// Also refines training cameras, except the first.
     pub optimize_cameras: bool,
     /// Whether to learn the training photos' exposures.
     pub exposure: Exposure,
+    /// Whether to draw and return an antialiased scene (Mip-Splatting), by default
+    /// [`Scene::antialiased`](crate::types::Scene::antialiased).
+    pub antialiased: Option<bool>,
     /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
     /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of
     /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number; from 200 steps
@@ -104,9 +109,11 @@ impl Default for RefineOptions {
             holdout_views: None,
             loss: Loss::L1Dssim,
             perceptual_loss: None,
+            depth_loss: None,
             learning_rates: LearningRates::default(),
             optimize_cameras: false,
             exposure: Exposure::Auto,
+            antialiased: None,
             max_gaussians: None,
             opacity_penalty: 0.0,
             scale_penalty: 0.1,
@@ -128,6 +135,31 @@ pub struct PerceptualLoss {
     pub weight: f32,
     /// LPIPS network, with weights from [`Perceptual::file`](crate::perceptual::Perceptual::file).
     pub network: LpipsNetwork,
+}
+
+/// The depth term of a loss: the mean difference of inverse depth, relative to the scene scale.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthLoss {
+    /// Initial factor, which falls to a hundredth over the steps.
+    pub weight: f32,
+    /// Unit of the known depth.
+    pub kind: DepthKind,
+}
+
+impl DepthLoss {
+    /// Default weight of depth in the scene's unit.
+    pub const METRIC_WEIGHT: f32 = 2.0;
+    /// Default weight of relative depth.
+    pub const RELATIVE_WEIGHT: f32 = 0.5;
+
+    /// Returns the term of default weight.
+    pub fn of(kind: DepthKind) -> Self {
+        let weight = match kind {
+            DepthKind::Metric => Self::METRIC_WEIGHT,
+            DepthKind::Relative => Self::RELATIVE_WEIGHT,
+        };
+        Self { weight, kind }
+    }
 }
 
 /// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they are

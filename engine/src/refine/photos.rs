@@ -1,9 +1,11 @@
 use super::{
+    depth::targets,
     schedule::phases,
     views::{View, fitted, resized},
 };
 use crate::{
     Error, Result,
+    stages::depth_loss::DepthKind,
     types::{Camera, ColorTransform, Image, resample::resize_lanczos},
 };
 use rayon::prelude::*;
@@ -23,6 +25,15 @@ pub trait Photos: Sync {
     /// # Errors
     /// An unreadable photo.
     fn open(&self, i: usize) -> Result<Cow<'_, Image>>;
+
+    /// Known depth along the camera's axis by pixel of a photo, 0 if unknown; for
+    /// [`RefineOptions::depth_loss`](super::RefineOptions::depth_loss).
+    ///
+    /// # Errors
+    /// An unreadable depth map.
+    fn depth(&self, _i: usize) -> Result<Option<Cow<'_, [f32]>>> {
+        Ok(None)
+    }
 }
 
 impl<T: AsRef<[Image]> + Sync> Photos for T {
@@ -40,13 +51,20 @@ impl<T: AsRef<[Image]> + Sync> Photos for T {
     }
 }
 
-pub(super) type Photo = Arc<Image>;
+#[derive(Clone, Debug, PartialEq)]
+struct Photo {
+    image: Arc<Image>,
+    /// Target of the depth loss by pixel.
+    depth: Option<Arc<[f32]>>,
+}
 
 /// Photos at the sizes of the coarse-to-fine phases. Results are independent of the limit.
 pub(super) struct PhotoCache<'a> {
     photos: &'a dyn Photos,
     max_size: Option<[u32; 2]>,
     coarse: bool,
+    /// Kind of the photos' depth, if needed.
+    depth: Option<DepthKind>,
     /// Bytes left for further photos.
     left: u64,
     /// By photo and downscaling factor.
@@ -57,8 +75,14 @@ pub(super) struct PhotoCache<'a> {
 
 impl<'a> PhotoCache<'a> {
     /// Photos fit `max_size`. If `coarse`, large ones are also downscaled.
-    pub fn new(photos: &'a dyn Photos, max_size: Option<[u32; 2]>, coarse: bool, max_bytes: u64) -> Self {
-        Self { photos, max_size, coarse, left: max_bytes, kept: HashMap::new(), ahead: HashMap::new() }
+    pub fn new(
+        photos: &'a dyn Photos,
+        max_size: Option<[u32; 2]>,
+        coarse: bool,
+        max_bytes: u64,
+        depth: Option<DepthKind>,
+    ) -> Self {
+        Self { photos, max_size, coarse, depth, left: max_bytes, kept: HashMap::new(), ahead: HashMap::new() }
     }
 
     pub fn size(&self, i: usize, factor: u32) -> [u32; 2] {
@@ -78,10 +102,10 @@ impl<'a> PhotoCache<'a> {
     /// Returns photos `now` with their cameras, as [`PhotoCache::get`].
     pub fn views(&mut self, cameras: &[Camera], now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<View>> {
         let found = self.get(now, soon, factor)?;
-        let view = |(photo, image): (&usize, Photo)| {
+        let view = |(photo, Photo { image, depth }): (&usize, Photo)| {
             let camera = self.camera(*photo, &cameras[*photo], factor)?;
             let (size, exposure) = (self.size(*photo, factor), ColorTransform::IDENTITY);
-            Ok(View { photo: *photo, size, image, camera, exposure })
+            Ok(View { photo: *photo, size, image, depth, camera, exposure })
         };
         now.iter().zip(found).map(view).collect()
     }
@@ -129,7 +153,8 @@ impl<'a> PhotoCache<'a> {
     }
 
     fn reserve(&mut self, photo: usize) -> bool {
-        let bytes = |factor: u32| 3 * self.size(photo, factor).into_iter().map(u64::from).product::<u64>();
+        let each = if self.depth.is_some() { 7 } else { 3 };
+        let bytes = |factor: u32| each * self.size(photo, factor).into_iter().map(u64::from).product::<u64>();
         let left = self.left.checked_sub(self.factors(photo).into_iter().map(bytes).sum());
         self.left = left.unwrap_or(self.left);
         left.is_some()
@@ -144,9 +169,15 @@ impl<'a> PhotoCache<'a> {
             let expected = format!("{} x {}, as before", expected[0], expected[1]);
             return Err(Error::argument(format!("size of photo {i}"), format!("{width} x {height}"), expected));
         }
+        let known = self.depth.map(|kind| Ok((self.photos.depth(i)?, kind))).transpose()?;
         let at = |factor: u32| {
-            let [width, height] = self.size(i, factor);
-            Ok(((i, factor), Arc::new(resize_lanczos(&hidden, width, height)?)))
+            let size = self.size(i, factor);
+            let image = resize_lanczos(&hidden, size[0], size[1])?;
+            let depth = match &known {
+                Some((Some(depth), kind)) => Some(targets(i, depth, expected, (size, image.mask.as_deref()), *kind)?),
+                _ => None,
+            };
+            Ok(((i, factor), Photo { image: Arc::new(image), depth }))
         };
         factors.into_iter().map(at).collect()
     }
@@ -180,7 +211,7 @@ mod tests {
         let photos = Counted((0..6).map(photo).collect(), AtomicUsize::new(0));
         let bytes = |factor: usize| 3 * (240 / factor) * (192 / factor);
         let used = |max_bytes: usize| {
-            let mut cache = PhotoCache::new(&photos, None, true, max_bytes as u64);
+            let mut cache = PhotoCache::new(&photos, None, true, max_bytes as u64, None);
             photos.1.store(0, Ordering::Relaxed);
             let mut found = Vec::new();
             for (now, soon, factor) in
@@ -192,7 +223,7 @@ mod tests {
             (found, photos.1.load(Ordering::Relaxed))
         };
         let (all, opened) = used(usize::MAX);
-        assert_eq!((all[0].rgb.len(), &*all[4]), (bytes(2), &photos.0[5]));
+        assert_eq!((all[0].image.rgb.len(), &*all[4].image), (bytes(2), &photos.0[5]));
         assert!((5..=6).contains(&opened), "{opened}");
         for max_bytes in [0, bytes(1) + bytes(2)] {
             let (found, more) = used(max_bytes);

@@ -141,7 +141,7 @@ fn record_steps(
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
         let exposure = options.exposure == Exposure::On;
-        let training = Training { options, gradients, lpips, exposure, masked };
+        let training = Training { options, gradients, lpips, exposure, masked, depth: true };
         record_photos(&mut rec, scene, shape, capacity, &RenderOptions::default(), Some(training));
         plans.push(rec.finish()?);
     }

@@ -8,14 +8,18 @@ use crate::{
     gpu::{Recorder, Run, Tensor},
     stages::{
         SceneTensors,
+        depth_loss::DepthFrames,
         loss::{LossTensors, record_loss, record_masked, record_masked_gradient, record_targets},
         lpips::{Lpips, LpipsPictures},
         render::{
-            CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows, record,
-            record_with_gradients,
+            CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows,
+            record, record_with_gradients,
         },
     },
 };
+
+/// Channels of photos and of the frames compared with them.
+const COLORS: usize = 3;
 
 /// A plan that renders photos' cameras and, in training, accumulates gradients.
 pub(super) struct PhotoPlan {
@@ -43,6 +47,18 @@ pub(super) struct Learning {
     pub d_cameras: Option<Tensor>,
     /// Color transforms `[cameras, 3, 4]` and their gradient, if exposures are learned.
     pub exposures: Option<[Tensor; 2]>,
+    pub depth: Option<DepthTensors>,
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct DepthTensors {
+    /// `[cameras, height, width]`.
+    targets: Tensor,
+    /// Factor of the gradient, and that of the step's photos in it.
+    weight: Tensor,
+    share: f32,
+    /// `[cameras]`.
+    value: Tensor,
 }
 
 /// Settings of a plan that accumulates gradients.
@@ -54,6 +70,8 @@ pub(super) struct Training<'a> {
     pub exposure: bool,
     /// Whether any photo has a mask.
     pub masked: bool,
+    /// Whether any photo has depth, for the depth loss.
+    pub depth: bool,
 }
 
 pub(super) struct PhotoLoss {
@@ -75,7 +93,7 @@ pub(super) fn record_photos(
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
-    let Some(Training { options, gradients, lpips, exposure, masked }) = training else {
+    let Some(Training { options, gradients, lpips, exposure, masked, depth }) = training else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, drawing, capacity) };
     };
     let d_cameras = options.optimize_cameras.then(|| {
@@ -89,14 +107,23 @@ pub(super) fn record_photos(
     let targets = rec.scope("loss", |rec| record_targets(rec, photos, values));
     let transforms = exposure.then(|| rec.input::<[f32; EXPOSURE_NUMBERS]>("exposures", count));
     let masks = masked.then(|| rec.input::<u32>("masks", pixels.div_ceil(4)));
+    let depth = options.depth_loss.filter(|_| depth).map(|loss| {
+        let (targets, weight) = (rec.input::<f32>("depths", pixels), rec.input::<f32>("depth_weight", 1));
+        (loss.kind, targets, weight)
+    });
+    let drawing = match depth {
+        Some(_) => &RenderOptions { alpha: true, depth: Some(Depth::Expected), ..*drawing },
+        None => drawing,
+    };
     let mut learning = None;
     let compare = |rec: &mut Recorder, frames: Tensor| {
         let scale = 1.0 / options.views_per_step as f32;
+        let split = depth.map(|(_, targets, _)| DepthFrames::record(rec, [frames, targets], shape));
+        let frames = split.map_or(frames, |split| split.colors);
         let exposed = transforms.map(|transforms| Exposed::record(rec, [frames, targets, transforms], shape));
         let frames = exposed.map_or(frames, |exposed| exposed.exposed);
         let frames = masks.map_or(frames, |masks| record_masked(rec, [frames, targets, masks], pixels));
-        let LossTensors { value, d_frames } =
-            record_loss(rec, options.loss, frames, targets, shape, drawing.channels(), scale);
+        let LossTensors { value, d_frames } = record_loss(rec, options.loss, frames, targets, shape, COLORS, scale);
         rec.output(value);
         let perceptual =
             lpips.and_then(|lpips| record_perceptual(rec, lpips, options, [frames, targets, d_frames], shape));
@@ -107,7 +134,13 @@ pub(super) fn record_photos(
             rec.output(d_transforms);
             [transforms, d_transforms]
         });
-        learning = Some(Learning { photos, masks, losses: value, perceptual, d_cameras, exposures });
+        let depths = split.zip(depth).map(|(split, (kind, targets, weight))| {
+            let [value, d_frames] = split.record_backward(rec, d_frames, weight, kind);
+            rec.output(value);
+            (DepthTensors { targets, weight, share: scale, value }, d_frames)
+        });
+        let (depth, d_frames) = depths.map_or((None, d_frames), |(depth, d_frames)| (Some(depth), d_frames));
+        learning = Some(Learning { photos, masks, losses: value, perceptual, d_cameras, exposures, depth });
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
@@ -131,7 +164,7 @@ fn record_perceptual(
         return None;
     }
     let pictures = LpipsPictures {
-        pictures: [(frames, RenderOptions::default().channels()), (targets, 3)],
+        pictures: [(frames, COLORS), (targets, COLORS)],
         size: [height as usize, width as usize],
         clipped: true,
     };
@@ -140,11 +173,11 @@ fn record_perceptual(
 }
 
 impl PhotoPlan {
-    /// Writes the cameras and photos.
-    pub fn write(&mut self, views: &[&View]) -> Result<()> {
+    /// Writes the cameras, the photos and the weight of depth.
+    pub fn write(&mut self, views: &[&View], depth_weight: f32) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;
-        if let Some(Learning { photos, masks, exposures, .. }) = self.recorded.learning {
+        if let Some(Learning { photos, masks, exposures, depth, .. }) = self.recorded.learning {
             let bytes: Vec<&[u8]> = views.iter().map(|view| view.image.rgb.as_slice()).collect();
             self.run.write(photos, &bytes.concat())?;
             if let Some(masks) = masks {
@@ -154,15 +187,26 @@ impl PhotoPlan {
             if let Some([transforms, _]) = exposures {
                 self.run.write(transforms, &views.iter().map(|view| view.exposure.0).collect::<Vec<_>>())?;
             }
+            if let Some(DepthTensors { targets, weight, share, .. }) = depth {
+                let unknown = |view: &&View| vec![0.0; view.size[0] as usize * view.size[1] as usize];
+                let of = |view: &&View| view.depth.as_ref().map_or_else(|| unknown(view), |depth| depth.to_vec());
+                self.run.write(targets, &views.iter().map(of).collect::<Vec<_>>().concat())?;
+                self.run.write(weight, &[share * depth_weight])?;
+            }
         }
         Ok(())
     }
 
-    pub fn losses(&self, views: &[&View]) -> Result<Vec<PhotoLoss>> {
-        let Learning { losses, perceptual, d_cameras, exposures, .. } = self.recorded.learning.expect("it learns");
+    pub fn losses(&self, views: &[&View], depth_weight: f32) -> Result<Vec<PhotoLoss>> {
+        let Learning { losses, perceptual, d_cameras, exposures, depth, .. } =
+            self.recorded.learning.expect("it learns");
         let mut losses: Vec<f32> = self.run.read(losses)?;
         if let Some((weight, value)) = perceptual {
             losses[0] += weight * self.run.read::<f32>(value)?[0];
+        }
+        if let Some(DepthTensors { value, .. }) = depth {
+            let values: Vec<f32> = self.run.read(value)?;
+            losses.iter_mut().zip(values).for_each(|(loss, value)| *loss += depth_weight * value);
         }
         let d_cameras: Option<Vec<[f32; CAMERA_NUMBERS]>> =
             d_cameras.map(|tensor| self.run.read(tensor)).transpose()?;

@@ -58,6 +58,8 @@ pub(super) struct Refinement<'a> {
     least: f32,
     latest: f32,
     fraction: f32,
+    /// Initial weight of the depth loss, times the scene's distance.
+    depth_weight: f32,
     kept: Kept,
     /// Next checkpoint, unless the loss reveals that it is worse.
     next: Option<Kept>,
@@ -74,7 +76,7 @@ struct Kept {
 impl<'a> Refinement<'a> {
     pub fn new(
         mut gaussians: Gaussians,
-        (scene, scene_distance): (Scene, f64),
+        (mut scene, scene_distance): (Scene, f64),
         mut photos: PhotoCache<'a>,
         cameras: &[Camera],
         options: RefineOptions,
@@ -97,6 +99,8 @@ impl<'a> Refinement<'a> {
             let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
             (Growth::new(scene.len(), most, steps, options.seed), FreeSpace::new(&scene, &training_cameras))
         });
+        let depth_weight = options.depth_loss.map_or(0.0, |loss| scene_distance * f64::from(loss.weight));
+        scene.antialiased = options.antialiased.unwrap_or(scene.antialiased);
         gaussians.draw_as(&scene);
         Ok(Self {
             photos,
@@ -114,6 +118,7 @@ impl<'a> Refinement<'a> {
             validation,
             holdout,
             fraction: 1.0,
+            depth_weight: depth_weight as f32,
             kept: Kept { step: 0, scene, cameras: cameras.to_vec(), exposures: None },
             exposures: None,
             sizes: Vec::new(),
@@ -157,6 +162,8 @@ impl<'a> Refinement<'a> {
         let masks = self.measured.iter().filter_map(|view| view.image.mask.as_ref());
         let ignored = masks.flatten().filter(|kept| **kept == 0).count();
         let pixels: usize = self.measured.iter().map(|view| view.image.rgb.len() / 3).sum();
+        let targets = self.measured.iter().filter_map(|view| view.depth.as_ref());
+        let known = targets.flat_map(|depth| depth.iter()).filter(|target| **target > 0.0).count();
         let Self { losses, kept, holdout_psnr, holdout, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras, exposures } = kept;
         let exposures = exposures.map(|exposures| (0..cameras.len()).map(|photo| exposures.get(photo)).collect());
@@ -173,6 +180,7 @@ impl<'a> Refinement<'a> {
             holdout_psnr,
             training_psnr,
             masked_fraction: ignored as f64 / pixels as f64,
+            depth_fraction: known as f64 / pixels as f64,
             holdout_views: holdout,
             sizes,
             took,
@@ -217,8 +225,9 @@ impl<'a> Refinement<'a> {
             if let Some(exposures) = &mut self.exposures {
                 exposures.expose(&mut self.gaussians, &mut views)?;
             }
-            let found =
-                self.gaussians.step(&views.iter().collect::<Vec<_>>(), self.fraction * self.schedule.rate(step))?;
+            let weights =
+                [self.fraction * self.schedule.rate(step), self.depth_weight * self.schedule.depth_weight(step)];
+            let found = self.gaussians.step(&views.iter().collect::<Vec<_>>(), weights)?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
             self.losses.push(loss);
             self.step_photos(step, &found);

@@ -7,6 +7,8 @@ const FULL: f64 = 100.0;
 const GOOD: f64 = 20.0;
 /// Ends of the coarse phases, as fractions of the steps, and their downscaling factors.
 const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
+/// Fraction of the depth loss's weight in the last step.
+const LAST_DEPTH: f64 = 0.01;
 /// Least shorter side of a downscaled photo, in pixels.
 const SHORTEST: u32 = 96;
 
@@ -25,6 +27,11 @@ impl Schedule {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
         let first = (FULL / self.steps as f64).min(1.0);
         self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
+    }
+
+    /// Returns the fraction of the depth loss's initial weight.
+    pub fn depth_weight(&self, step: usize) -> f32 {
+        LAST_DEPTH.powf(step as f64 / (self.steps.max(2) - 1) as f64) as f32
     }
 
     /// Returns a step's downscaling factor.
@@ -67,6 +74,8 @@ mod tests {
         assert_eq!(Schedule { coarse: false, ..schedule }.factor(0, 400), 1);
         assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 2.0);
         assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 0.5);
+        let weights = [0, 99].map(|step| schedule.depth_weight(step));
+        assert!(weights[0] == 1.0 && (weights[1] - 0.01).abs() < 1e-6);
         assert_eq!([12.0, 20.0, 40.0].map(rate_of_error), [1.0, 1.0, 0.1]);
     }
 }

@@ -1,15 +1,18 @@
-use super::{checkpoint::State, photos::Photo};
+use super::checkpoint::State;
 use crate::{
     Result,
     random::Random,
     stages::render::check_camera,
-    types::{Camera, ColorTransform, preprocess::PixelMap},
+    types::{Camera, ColorTransform, Image, preprocess::PixelMap},
 };
+use std::sync::Arc;
 
 pub(super) struct View {
     pub photo: usize,
     pub size: [u32; 2],
-    pub image: Photo,
+    pub image: Arc<Image>,
+    /// Target of the depth loss by pixel, 0 if unknown.
+    pub depth: Option<Arc<[f32]>>,
     pub camera: Camera,
     pub exposure: ColorTransform,
 }

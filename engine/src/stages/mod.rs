@@ -1,6 +1,7 @@
 mod architecture;
 pub mod backbone;
 pub mod cluster;
+pub mod depth_loss;
 pub mod fuse;
 pub mod gaussians;
 pub mod heads;

@@ -1,4 +1,5 @@
 //! Image losses.
 
+pub mod depth;
 pub mod gradient;
 pub mod targets;

@@ -1,6 +1,7 @@
 use crate::{
     cameras::{Finding, KnownCameras, Similarity, to_scene},
     explain::Explanation,
+    known_depth::WithDepth,
     options::SceneInput,
     outputs::{self, Overwrite},
     photos::{self, PhotoFiles},
@@ -105,8 +106,10 @@ impl Refine {
         let started = self.start(session, scene, &poses, &frames)?;
         drop(found);
         let device = session.device()?;
-        let checkpoint = refinement::checkpoint(&self.output, &photos, masks.as_ref())?;
-        let files = PhotoFiles::new(&photos, &frames, masks)?;
+        let unit = 1.0 / started.to_scene.scale;
+        let known = self.settings.known_depth(session, (&photos, &frames), &started.cameras, unit)?;
+        let checkpoint = refinement::checkpoint(&self.output, &photos, masks.as_ref(), known.as_ref())?;
+        let files = WithDepth(PhotoFiles::new(&photos, &frames, masks)?, known.as_ref());
         let (refined, request) = self.refine(session, &device, &started, (files, checkpoint))?;
         let options = SaveOptions::default();
         let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
@@ -173,14 +176,14 @@ impl Refine {
         session: &mut Session<'_>,
         device: &Device,
         started: &Started,
-        (photos, checkpoint): (PhotoFiles<'_>, RefineCheckpoint),
+        (photos, checkpoint): (WithDepth<'_, PhotoFiles<'_>>, RefineCheckpoint),
     ) -> Result<(RefineResult, RefineOptions)> {
         let request = RefineOptions {
             views_per_step: self.views_per_step,
             seed: self.seed,
             profile: self.explain,
             checkpoint: Some(checkpoint),
-            ..self.settings.request(self.steps)
+            ..self.settings.request(self.steps, self.input.antialiased, photos.1.map(|known| known.kind))
         };
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
         Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))

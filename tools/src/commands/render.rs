@@ -220,7 +220,7 @@ impl Render {
             normals: self.normals,
             token_group: self.gaussians_per_token,
             background: self.background,
-            antialiased: self.input.antialiased,
+            antialiased: self.input.antialiased.given(),
             near: None,
             layout: None,
         }

@@ -150,6 +150,10 @@ impl View {
         refuse("--gaussians-per-token", self.gaussians_per_token.is_some(), "photos", "a scene's file")?;
         refuse("--photos", self.photos.is_some(), "photos", "a scene's file")?;
         refuse("--relative-to", self.relative_to.is_some(), "photos", "a scene's file")?;
+        self.input.refuse_dropping("photos", "a scene's file")?;
+        if !self.from.refines() {
+            self.input.antialiased.refuse("photos without --refine", "a scene's file, or with --refine")?;
+        }
         let photos = (&self.files[..], self.cameras.as_deref());
         let checkpoint = match self.from.network()? {
             Network::Tokens(checkpoint) => checkpoint,
@@ -158,7 +162,7 @@ impl View {
         let every = self.output.is_none() && self.from.lists_ratios();
         refuse("--ratios", every, "a page that is served, whose slider has every ratio", "a page that is written")?;
         let mut ready = self.from.prepare(session, checkpoint, photos)?;
-        let watched = self.from.watched(session, &ready)?;
+        let watched = self.from.watched(session, &ready, self.input.antialiased)?;
         let (grid, cameras) = (ready.live.grid(), std::mem::take(&mut ready.cameras));
         let mut config = Config {
             up: vertical(&cameras),

@@ -8,6 +8,7 @@ pub use report::{as_json, explain, summary};
 
 use crate::{
     cameras::{Similarity, path_from},
+    known_depth::KnownDepth,
     session::{Session, Stage},
     stamp::{digest, stamp},
 };
@@ -51,8 +52,14 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
 const INTERVAL: Duration = Duration::from_secs(60);
 
 /// Returns the checkpoint of a refinement that writes `output`: a file beside it.
-pub fn checkpoint(output: &Path, photos: &[PathBuf], masks: Option<&Masks>) -> Result<RefineCheckpoint> {
+pub fn checkpoint(
+    output: &Path,
+    photos: &[PathBuf],
+    masks: Option<&Masks>,
+    depth: Option<&KnownDepth>,
+) -> Result<RefineCheckpoint> {
     let mut parts = vec![format!("{:?}", masks.map(|masks| masks.inverted))];
+    parts.extend(depth.map(KnownDepth::stamps).transpose()?.into_iter().flatten());
     for photo in photos {
         parts.push(stamp(photo)?);
         parts.extend(masks.map(|masks| stamp(&masks.file(photo)?)).transpose()?);
@@ -83,6 +90,10 @@ impl<P: Photos> Photos for Cancellable<'_, P> {
 
     fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
         if self.1.go_on().is_break() { Err(Error::Cancelled) } else { self.0.open(i) }
+    }
+
+    fn depth(&self, i: usize) -> Result<Option<Cow<'_, [f32]>>> {
+        self.0.depth(i)
     }
 }
 

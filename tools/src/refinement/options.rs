@@ -1,5 +1,5 @@
 use super::Initialization;
-use crate::options::Size;
+use crate::{antialiasing::Antialiasing, known_depth::KnownDepth, options::Size, session::Session};
 use clap::{Arg, ArgGroup, Args, ValueEnum};
 use std::{
     ffi::OsString,
@@ -12,9 +12,9 @@ use zipsplat::{
     Error, Result,
     gpu::cache_dir,
     perceptual::Perceptual,
-    refine::{self, PerceptualLoss, RefineLength, RefineOptions},
+    refine::{self, DepthKind, DepthLoss, PerceptualLoss, RefineLength, RefineOptions},
     stages::lpips::LpipsNetwork,
-    types::Image,
+    types::{Camera, Image, poses::CaptureView},
 };
 
 /// Joins `--refine` with a following number of steps, so that `--refine`, `--refine=N` and
@@ -128,10 +128,28 @@ pub struct RefineSettings {
     /// long. `python3 tools/lpips.py` downloads the weights of LPIPS [default: 0]
     #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]
     lpips_weight: Option<f32>,
+    /// Also fit known depth: of a folder with NAME.npy (f32 [height, width]) or NAME.png (16-bit,
+    /// 1000 levels per unit) for each photo NAME, z in the cameras' unit and 0 if unknown, or with
+    /// depths.safetensors of `depth`; or of a depth network, as for `depth --weights`. Networks'
+    /// inverse depth is fitted to each photo by a scale and a shift
+    #[arg(long, value_name = "FOLDER|NETWORK")]
+    depth_loss: Option<PathBuf>,
+    /// Initial weight of depth in the loss; it falls to a hundredth [default: 2; 0.5 for a
+    /// network's]
+    #[arg(long, value_name = "WEIGHT", requires = "depth_loss", value_parser = parse_weight)]
+    depth_weight: Option<f32>,
 }
 
-const SETTINGS: [&str; 7] =
-    ["init", "max_image_size", "holdout_views", "optimize_cameras", "exposure", "max_gaussians", "lpips_weight"];
+const SETTINGS: [&str; 8] = [
+    "init",
+    "max_image_size",
+    "holdout_views",
+    "optimize_cameras",
+    "exposure",
+    "max_gaussians",
+    "lpips_weight",
+    "depth_loss",
+];
 
 /// Of commands that refine on request.
 #[derive(Args, Debug)]
@@ -176,7 +194,30 @@ impl RefineSettings {
         Ok(largest.map_or([width, height], |(width, height)| [width, height]))
     }
 
-    pub fn request(&self, RefineTask { length, .. }: RefineTask) -> RefineOptions {
+    /// Opens the photos' depth, if given, as [`KnownDepth::open`].
+    pub fn known_depth(
+        &self,
+        session: &mut Session<'_>,
+        photos: (&[PathBuf], &[&CaptureView]),
+        cameras: &[Camera],
+        unit: f64,
+    ) -> Result<Option<KnownDepth>> {
+        let source = self.depth_loss.as_deref();
+        source.map(|source| KnownDepth::open(session, source, photos, cameras, unit)).transpose()
+    }
+
+    /// Settings without a device, where the kind of depth is of no importance.
+    pub fn planned(&self, task: RefineTask, antialiased: Antialiasing) -> RefineOptions {
+        self.request(task, antialiased, self.depth_loss.as_ref().map(|_| DepthKind::Metric))
+    }
+
+    pub fn request(
+        &self,
+        RefineTask { length, .. }: RefineTask,
+        antialiased: Antialiasing,
+        depth: Option<DepthKind>,
+    ) -> RefineOptions {
+        let depth_loss = depth.map(DepthLoss::of);
         let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
         RefineOptions {
             length,
@@ -188,8 +229,12 @@ impl RefineSettings {
                 Exposure::Off => refine::Exposure::Off,
                 Exposure::On => refine::Exposure::On,
             },
+            antialiased: antialiased.given(),
             max_gaussians: self.max_gaussians,
             perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),
+            depth_loss: depth_loss
+                .map(|loss| DepthLoss { weight: self.depth_weight.unwrap_or(loss.weight), ..loss })
+                .filter(|loss| loss.weight > 0.0),
             ..RefineOptions::default()
         }
     }

@@ -7,7 +7,7 @@ use glam::DQuat;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use zipsplat::{
-    refine::{LearningRates, RefineOptions, RefineResult, StopReason},
+    refine::{DepthKind, DepthLoss, LearningRates, RefineOptions, RefineResult, StopReason},
     types::{Camera, Pose},
 };
 
@@ -46,7 +46,7 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
         "init": start,
         "camera_movement": cameras.map(|[degrees, distance]| json!({ "rotation_deg": degrees, "translation": distance })),
         "exposures": refined.exposures.as_ref().map(|all| all.iter().map(|exposure| exposure.0).collect::<Vec<_>>()),
-        "masked_fraction": refined.masked_fraction, "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
+        "masked_fraction": refined.masked_fraction, "depth_fraction": refined.depth_fraction, "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
         "holdout_psnr": refined.psnr().map(|[best, initial]| json!({ "initial": initial, "best": best })),
         "steps": refined.losses.len(), "resumed_step": refined.resumed_step, "best_step": refined.best_step, "losses": refined.losses,
         "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes,
@@ -104,6 +104,7 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
         ("held-out photos", or_none(held.join(", "))),
         ("largest photo", or_none(sizes.join(", "))),
         ("masked", masked(refined).unwrap_or("none".into())),
+        ("depth", depth(refined, request).unwrap_or("none".into())),
         ("memory", bytes(refined.peak_bytes)),
         ("stop reason", ended(refined)),
     ] {
@@ -114,6 +115,16 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
 
 fn masked(refined: &RefineResult) -> Option<String> {
     (refined.masked_fraction > 0.0).then(|| format!("{:.1} %", 100.0 * refined.masked_fraction))
+}
+
+fn depth(refined: &RefineResult, request: &RefineOptions) -> Option<String> {
+    let DepthLoss { weight, kind } = request.depth_loss?;
+    let kind = match kind {
+        DepthKind::Metric => "in the cameras' unit",
+        DepthKind::Relative => "relative, fitted to each photo",
+    };
+    let percent = 100.0 * refined.depth_fraction;
+    Some(format!("{percent:.1} % of the pixels, {kind}; weight {weight}, which falls to a hundredth"))
 }
 
 fn ended(refined: &RefineResult) -> String {

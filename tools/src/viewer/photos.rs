@@ -6,6 +6,7 @@ use super::{
     watched::Target,
 };
 use crate::{
+    antialiasing::Antialiasing,
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
     html::data_url,
@@ -213,7 +214,12 @@ impl FromPhotos {
         Ok(ratios)
     }
 
-    pub fn watched(&self, session: &mut Session<'_>, ready: &Ready<'_>) -> Result<Option<Watched>> {
+    pub fn watched(
+        &self,
+        session: &mut Session<'_>,
+        ready: &Ready<'_>,
+        antialiased: Antialiasing,
+    ) -> Result<Option<Watched>> {
         let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
         let to_scene = first.camera.pose.inverse();
@@ -240,10 +246,12 @@ impl FromPhotos {
                 shown.filter(|_| from == Initialization::Scene),
             )
         };
-        let request = self.refine.settings.request(steps);
+        let settings = &self.refine.settings;
+        let known = settings.known_depth(session, (&ready.photos, &frames), &cameras, 1.0)?;
+        let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind));
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
-        Ok(Some(Watched::new(start, tokens, photos, cameras, request)))
+        Ok(Some(Watched::new(start, tokens, (photos, known), cameras, request)))
     }
 }
 

@@ -2,6 +2,7 @@ use super::{
     live::{Live, LiveScene},
     page::ShownScene,
 };
+use crate::known_depth::{KnownDepth, WithDepth};
 use serde::Serialize;
 use std::{
     ops::ControlFlow,
@@ -30,6 +31,7 @@ pub struct Watched {
     target: Target,
     tokens: Option<(usize, Vec<u32>)>,
     photos: Vec<Image>,
+    known: Option<KnownDepth>,
     cameras: Vec<Camera>,
     request: RefineOptions,
     now: Mutex<Now>,
@@ -58,7 +60,7 @@ impl Watched {
     pub fn new(
         target: Target,
         tokens: Option<(usize, Vec<u32>)>,
-        photos: Vec<Image>,
+        (photos, known): (Vec<Image>, Option<KnownDepth>),
         cameras: Vec<Camera>,
         request: RefineOptions,
     ) -> Self {
@@ -66,6 +68,7 @@ impl Watched {
             target,
             tokens,
             photos,
+            known,
             cameras,
             request: RefineOptions { snapshots: SHOWN, ..request },
             now: Mutex::default(),
@@ -80,7 +83,8 @@ impl Watched {
             let share = progress(at.step as f64 / at.steps as f64);
             if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
         };
-        let (photos, cameras, request) = (&self.photos, &self.cameras, &self.request);
+        let photos = WithDepth(&self.photos, self.known.as_ref());
+        let (cameras, request) = (&self.cameras, &self.request);
         // The slider uses the model's arena meanwhile.
         let arena = Arena::new(&live.device);
         let refined = match &self.target {

@@ -330,6 +330,9 @@ typedef struct zs_image {
     const uint8_t *mask;
     // Bytes between rows of the mask, as `stride`.
     int64_t mask_stride;
+    // height x width, for zs_refine_options.depth_loss: known depth along the camera's z axis, 0
+    // if unknown; or NULL.
+    const float *depth;
 } zs_image;
 
 // Values of a camera's picture, in pixels or in cells of several pixels.
@@ -1010,6 +1013,28 @@ ZS_ENUM(zs_exposure_mode) {
     ZS_EXPOSURE_ON = 2,
 };
 
+// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
+// pixel.
+ZS_ENUM(zs_antialiasing) {
+    // As zs_gaussians.antialiased.
+    ZS_ANTIALIASING_AUTO = 0,
+    // For scenes optimized that way.
+    ZS_ANTIALIASING_ON = 1,
+    // For other scenes.
+    ZS_ANTIALIASING_OFF = 2,
+};
+
+// Known depth of images in the loss, zs_image.depth.
+ZS_ENUM(zs_depth_loss) {
+    // Not used.
+    ZS_DEPTH_LOSS_OFF = 0,
+    // In the scene's unit.
+    ZS_DEPTH_LOSS_METRIC = 1,
+    // Relative, as of a depth network: its inverse is fitted to each photo's rendered one by a
+    // scale and a shift.
+    ZS_DEPTH_LOSS_RELATIVE = 2,
+};
+
 // Reason for the end of a refinement.
 ZS_ENUM(zs_stop_reason) {
     // All steps completed.
@@ -1057,6 +1082,14 @@ typedef struct zs_refine_options {
     // Approximate duration instead of `steps`; 0 without `steps` is 60. A few timed steps
     // determine the number of steps and the photos' size.
     double seconds;
+    // Whether to draw and return an antialiased scene.
+    zs_antialiasing antialiasing;
+    // Known depth in the loss, by inverse depth.
+    zs_depth_loss depth_loss;
+    // Initial weight of depth, which falls to a hundredth; 0 is the default of the kind.
+    float depth_weight;
+    // 0.
+    uint32_t reserved;
 } zs_refine_options;
 
 // Result of a refinement.
@@ -1118,17 +1151,6 @@ ZS_ENUM(zs_depth_mode) {
     ZS_DEPTH_MODE_EXPECTED = 0,
     // Sum of depth times blending weight.
     ZS_DEPTH_MODE_ACCUMULATED = 1,
-};
-
-// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
-// pixel.
-ZS_ENUM(zs_antialiasing) {
-    // As zs_gaussians.antialiased.
-    ZS_ANTIALIASING_AUTO = 0,
-    // For scenes optimized that way.
-    ZS_ANTIALIASING_ON = 1,
-    // For other scenes.
-    ZS_ANTIALIASING_OFF = 2,
 };
 
 // A scene on a device. Caches recordings for the last four sizes and kinds of output.

@@ -72,6 +72,9 @@ pub struct zs_image {
     pub mask: *const u8,
     /// Bytes between rows of the mask, as `stride`.
     pub mask_stride: i64,
+    /// height x width, for zs_refine_options.depth_loss: known depth along the camera's z axis, 0
+    /// if unknown; or NULL.
+    pub depth: *const f32,
 }
 
 /// Masks of photos' files.
@@ -223,6 +226,16 @@ impl zs_image {
         // SAFETY: as for the pixels.
         let row = |y: isize| unsafe { std::slice::from_raw_parts(self.mask.offset(y * stride), width as usize) };
         Image { width, height, rgb, mask: None }.with_mask((0..height as isize).flat_map(row).copied().collect())
+    }
+
+    /// Returns the known depth of an image whose pixels were read.
+    ///
+    /// # Safety
+    /// As its pixels.
+    pub(super) unsafe fn known_depth(&self) -> Option<Vec<f32>> {
+        let pixels = self.width as usize * self.height as usize;
+        // SAFETY: the caller's array.
+        (!self.depth.is_null()).then(|| unsafe { std::slice::from_raw_parts(self.depth, pixels) }.to_vec())
     }
 }
 

@@ -1,20 +1,23 @@
 //! Refinement of a scene to match photos.
 
+mod inputs;
+
 use super::{
     camera::zs_camera,
     device::zs_device,
     image::zs_image,
-    pointers::{Versioned, borrow, produce, read_array, read_versioned, write_array, write_versioned},
-    progress::{Reporter, zs_progress, zs_progress_action, zs_progress_callback},
+    pointers::{Versioned, borrow, produce},
+    progress::zs_progress_callback,
     reconstruction::{ModelTokens, zs_reconstruction},
     scene::zs_scene,
     status::{Failure, zs_status},
 };
-use std::{cell::Cell, ffi::c_void, ops::ControlFlow, time::Duration};
+use inputs::{Inputs, Photographs, ProgressFunction};
+use std::{ffi::c_void, time::Duration};
 use zipsplat::{
-    Camera, Error, Image, Pose, RefineLength, RefineOptions, RefineResult,
+    Camera, Error, Pose, RefineLength, RefineOptions, RefineResult,
     gpu::Arena,
-    refine::{Exposure, PerceptualLoss, RefineProgress, StopReason, refine_scene, refine_tokens},
+    refine::{DepthKind, DepthLoss, Exposure, PerceptualLoss, StopReason, refine_scene, refine_tokens},
     stages::lpips::LpipsNetwork,
 };
 
@@ -46,6 +49,48 @@ pub enum zs_exposure_mode {
 }
 
 pub(super) type zs_exposure_mode_value = i32;
+
+/// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
+/// pixel.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_antialiasing {
+    /// As zs_gaussians.antialiased.
+    ZS_ANTIALIASING_AUTO = 0,
+    /// For scenes optimized that way.
+    ZS_ANTIALIASING_ON = 1,
+    /// For other scenes.
+    ZS_ANTIALIASING_OFF = 2,
+}
+
+pub(super) type zs_antialiasing_value = i32;
+
+impl zs_antialiasing {
+    /// `None` for the scene's.
+    pub(super) fn of(value: zs_antialiasing_value) -> Result<Option<bool>, Failure> {
+        match value {
+            0 => Ok(None),
+            1 => Ok(Some(true)),
+            2 => Ok(Some(false)),
+            other => Err(Failure::argument("antialiasing", other, "a zs_antialiasing")),
+        }
+    }
+}
+
+/// Known depth of images in the loss, zs_image.depth.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_depth_loss {
+    /// Not used.
+    ZS_DEPTH_LOSS_OFF = 0,
+    /// In the scene's unit.
+    ZS_DEPTH_LOSS_METRIC = 1,
+    /// Relative, as of a depth network: its inverse is fitted to each photo's rendered one by a
+    /// scale and a shift.
+    ZS_DEPTH_LOSS_RELATIVE = 2,
+}
+
+pub(super) type zs_depth_loss_value = i32;
 
 /// Reason for the end of a refinement.
 #[repr(i32)]
@@ -100,6 +145,14 @@ pub struct zs_refine_options {
     /// Approximate duration instead of `steps`; 0 without `steps` is 60. A few timed steps
     /// determine the number of steps and the photos' size.
     pub seconds: f64,
+    /// Whether to draw and return an antialiased scene.
+    pub antialiasing: zs_antialiasing_value,
+    /// Known depth in the loss, by inverse depth.
+    pub depth_loss: zs_depth_loss_value,
+    /// Initial weight of depth, which falls to a hundredth; 0 is the default of the kind.
+    pub depth_weight: f32,
+    /// 0.
+    pub reserved: u32,
 }
 
 /// Result of a refinement.
@@ -211,98 +264,6 @@ pub unsafe extern "C" fn zs_refine_reconstruction(
     unsafe { produce(refined, refine) }
 }
 
-/// Checked arguments.
-struct Inputs {
-    photos: Vec<Image>,
-    cameras: Vec<Camera>,
-    options: zs_refine_options,
-    engine: RefineOptions,
-}
-
-type ProgressFunction<'a> = &'a mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>;
-
-impl Inputs {
-    /// # Safety
-    /// Arrays have `count` elements, structures their stated sizes; all may be NULL.
-    unsafe fn read(
-        images: *const zs_image,
-        cameras: *const zs_camera,
-        count: usize,
-        options: *const zs_refine_options,
-        result: *mut zs_refine_result,
-    ) -> Result<Self, Failure> {
-        if count == 0 {
-            return Err(Failure::argument("number of images", count, "at least 1"));
-        }
-        // SAFETY: the caller's promise. Outputs are checked before expensive work.
-        let (images, cameras, options) = unsafe {
-            read_array(read_versioned(result)?.cameras.cast_const(), output_count(result, count)?, "cameras")?;
-            (read_array(images, count, "images")?, read_array(cameras, count, "cameras")?, read_versioned(options)?)
-        };
-        let engine = options.engine()?;
-        let cameras = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
-        let photo = |(i, image): (usize, &zs_image)| {
-            // SAFETY: the caller's pixels.
-            unsafe { image.image(&format!("image {i}")) }
-        };
-        let photos = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
-        Ok(Self { photos, cameras, options, engine })
-    }
-
-    fn run(
-        &self,
-        refine: impl FnOnce(&[Image], &[Camera], &RefineOptions, ProgressFunction<'_>) -> Result<RefineResult, Error>,
-    ) -> Result<RefineResult, Error> {
-        let reporter = Reporter { callback: self.options.progress, user_data: self.options.user_data };
-        let is_cancelled = Cell::new(false);
-        let mut progress = |now: RefineProgress<'_>| match reporter.report("refine", of(&now)) {
-            zs_progress_action::ZS_CONTINUE => ControlFlow::Continue(()),
-            action => {
-                is_cancelled.set(action == zs_progress_action::ZS_CANCEL);
-                ControlFlow::Break(())
-            }
-        };
-        let found = refine(&self.photos, &self.cameras, &self.engine, &mut progress)?;
-        if is_cancelled.get() { Err(Error::Cancelled) } else { Ok(found) }
-    }
-
-    /// # Safety
-    /// As [`Inputs::read`].
-    unsafe fn write(&self, result: *mut zs_refine_result, found: &RefineResult) -> Result<(), Failure> {
-        if result.is_null() {
-            return Ok(());
-        }
-        // SAFETY: checked in `read`.
-        unsafe {
-            let cameras = read_versioned(result)?.cameras;
-            write_versioned(result, zs_refine_result { cameras, ..found.into() })?;
-            if cameras.is_null() { Ok(()) } else { write_array(cameras, found.cameras.iter().map(zs_camera::from)) }
-        }
-    }
-}
-
-/// Returns `count` if the result has an output array, else 0.
-///
-/// # Safety
-/// `result` is NULL or a structure of its stated size.
-unsafe fn output_count(result: *const zs_refine_result, count: usize) -> Result<usize, Failure> {
-    // SAFETY: the caller's promise.
-    let cameras = unsafe { read_versioned(result) }?.cameras;
-    Ok(if cameras.is_null() { 0 } else { count })
-}
-
-fn of(now: &RefineProgress<'_>) -> zs_progress {
-    zs_progress {
-        fraction: now.step as f64 / now.steps.max(1) as f64,
-        step: now.step,
-        steps: now.steps,
-        loss: now.loss.map_or(f64::NAN, f64::from),
-        psnr: now.psnr.unwrap_or(f64::NAN),
-        eta_seconds: now.eta.as_secs_f64(),
-        ..Versioned::new()
-    }
-}
-
 impl zs_refine_options {
     fn engine(&self) -> Result<RefineOptions, Failure> {
         let default = RefineOptions::default();
@@ -319,6 +280,16 @@ impl zs_refine_options {
         let modes = [Exposure::Auto, Exposure::Off, Exposure::On];
         let exposure = usize::try_from(self.exposure).ok().and_then(|mode| modes.get(mode).copied());
         let exposure = exposure.ok_or_else(|| Failure::argument("exposure", self.exposure, "a zs_exposure_mode"))?;
+        let depth_loss = match self.depth_loss {
+            0 => None,
+            1 => Some(DepthLoss::of(DepthKind::Metric)),
+            2 => Some(DepthLoss::of(DepthKind::Relative)),
+            other => return Err(Failure::argument("depth_loss", other, "a zs_depth_loss")),
+        };
+        if !(self.depth_weight.is_finite() && self.depth_weight >= 0.0) {
+            return Err(Failure::argument("depth_weight", self.depth_weight, "0 or a positive number"));
+        }
+        let weight = |default: f32| if self.depth_weight > 0.0 { self.depth_weight } else { default };
         let seconds = Duration::try_from_secs_f64(self.seconds)
             .map_err(|_| Failure::argument("seconds", self.seconds, "0 or a positive time"))?;
         let holdout_views = match self.holdout_views {
@@ -342,6 +313,8 @@ impl zs_refine_options {
             max_gaussians: (self.max_gaussians > 0).then_some(self.max_gaussians),
             perceptual_loss: (self.perceptual_weight > 0.0)
                 .then_some(PerceptualLoss { weight: self.perceptual_weight, network: LpipsNetwork::Vgg }),
+            depth_loss: depth_loss.map(|loss| DepthLoss { weight: weight(loss.weight), ..loss }),
+            antialiased: zs_antialiasing::of(self.antialiasing)?,
             seed: self.seed,
             ..default
         })
@@ -354,7 +327,7 @@ impl ModelTokens {
         &self,
         arena: &Arena,
         world: Option<Pose>,
-        photos: &[Image],
+        photos: &Photographs,
         cameras: &[Camera],
         options: &RefineOptions,
         progress: ProgressFunction<'_>,

@@ -6,6 +6,7 @@ use super::{
     image::{checked_stride, zs_pixel_format, zs_pixel_format_value},
     pointers::{array_mut, borrow, destroy, produce, read_array, read_given, read_versioned},
     reconstruction::zs_reconstruction,
+    refine::{zs_antialiasing, zs_antialiasing_value},
     scene::{zs_gaussians, zs_scene},
     status::{Failure, guard, zs_status},
 };
@@ -68,21 +69,6 @@ pub enum zs_depth_mode {
 }
 
 pub(super) type zs_depth_mode_value = i32;
-
-/// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
-/// pixel.
-#[repr(i32)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_antialiasing {
-    /// As zs_gaussians.antialiased.
-    ZS_ANTIALIASING_AUTO = 0,
-    /// For scenes optimized that way.
-    ZS_ANTIALIASING_ON = 1,
-    /// For other scenes.
-    ZS_ANTIALIASING_OFF = 2,
-}
-
-pub(super) type zs_antialiasing_value = i32;
 
 /// Options of pictures.
 #[repr(C)]
@@ -296,12 +282,7 @@ impl zs_render_options {
             1 => Depth::Accumulated,
             other => return Err(Failure::argument("depth", other, "a zs_depth_mode")),
         };
-        let antialiased = match self.antialiasing {
-            0 => None,
-            1 => Some(true),
-            2 => Some(false),
-            other => return Err(Failure::argument("antialiasing", other, "a zs_antialiasing")),
-        };
+        let antialiased = zs_antialiasing::of(self.antialiasing)?;
         Ok(RenderOptions {
             rgb,
             alpha,

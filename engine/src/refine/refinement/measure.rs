@@ -30,7 +30,7 @@ impl Refinement<'_> {
                 let (size, camera) = (self.photos.size(*photo, 1), self.photos.camera(*photo, &cameras[*photo], 1)?);
                 let exposure = ColorTransform::IDENTITY;
                 let image = Arc::new(Image { width: 0, height: 0, rgb: Vec::new(), mask: None });
-                let view = View { photo: *photo, size, image, camera, exposure };
+                let view = View { photo: *photo, size, image, depth: None, camera, exposure };
                 seen = self.gaussians.draw(&view)?.1 > 0;
             }
         }
@@ -48,9 +48,9 @@ impl Refinement<'_> {
             let views = self.first_views(factor)?;
             let views: Vec<&View> = views.iter().collect();
             // The first records and compiles.
-            self.gaussians.step(&views, 0.0)?;
+            self.gaussians.step(&views, [0.0; 2])?;
             let begin = Instant::now();
-            self.gaussians.step(&views, 0.0)?;
+            self.gaussians.step(&views, [0.0; 2])?;
             mean += begin.elapsed().mul_f64(fraction);
         }
         Ok(mean)

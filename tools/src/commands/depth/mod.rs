@@ -3,6 +3,7 @@ mod truth;
 use crate::{
     cameras::{ModelOption, path_from},
     depth::{CamerasFrom, PredictedViews, PredictorOptions},
+    known_depth::{PHOTOS, VALUES},
     options::ArithmeticOption,
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
     photos::{self, PhotoArgs},
@@ -87,7 +88,6 @@ pub struct Depth {
     arithmetic: ArithmeticOption,
 }
 
-const VALUES: &str = "depths.safetensors";
 const CAMERAS: &str = "transforms.json";
 const POINTS: &str = "points.ply";
 
@@ -242,7 +242,7 @@ fn save_values(path: &Path, depths: &DepthPrediction, names: &[String]) -> Resul
     });
     // One entry: several would have no fixed order.
     let photos = serde_json::to_string(names).expect("names are text");
-    let metadata = HashMap::from([("zipsplat.photos".to_owned(), photos)]);
+    let metadata = HashMap::from([(PHOTOS.to_owned(), photos)]);
     let file =
         safetensors::serialize(views, Some(metadata)).map_err(|error| Error::format(path, None, error.to_string()))?;
     write_atomic(path, |out| out.write_all(&file))

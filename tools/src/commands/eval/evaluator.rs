@@ -2,6 +2,7 @@ use super::{Eval, Scaling, alignment::Alignment};
 use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::DepthPredictor,
+    known_depth::WithDepth,
     options::{Network as Weighed, Quality, refuse},
     refinement::{self, Initialization, Refinable, RefineTask},
     released::open_depth,
@@ -165,7 +166,7 @@ impl<'a> Evaluator<'a> {
             reconstruction.started = init.name();
             let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
             let arena = Arena::new(&self.device);
-            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, steps)?;
+            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), (choice, capture), steps)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
         }
         self.renderer.set_scene(&reconstruction.scene)?;
@@ -196,7 +197,7 @@ impl<'a> Evaluator<'a> {
         let refined = match (eval.refine.steps(), &tokens) {
             (Some(steps), Some(tokens)) => {
                 let head = FrozenHead::load(&self.device, checkpoint)?;
-                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, steps)?)
+                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), (choice, capture), steps)?)
             }
             (Some(steps), None) => {
                 let cloud = choice.points(&capture.scene_scale)?;
@@ -204,7 +205,7 @@ impl<'a> Evaluator<'a> {
                     Initialization::or_best(eval.refine.settings.init, cloud.as_ref(), eval.weights.is_builtin());
                 started = init.name();
                 let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
-                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, steps)?)
+                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), (choice, capture), steps)?)
             }
             (None, _) => None,
         };
@@ -245,18 +246,22 @@ fn refine(
     session: &mut Session<'_>,
     arena: &Arena,
     from: Refinable<'_>,
-    capture: &ViewSplit,
+    (choice, capture): (&Choice, &ViewSplit),
     steps: RefineTask,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
-    let mut request = eval.refine.settings.request(steps);
+    let (settings, files, frames) = (&eval.refine.settings, choice.inputs(), choice.input_frames());
+    let known = settings.known_depth(session, (&files, &frames), &cameras, capture.scene_scale.length)?;
+    let kind = known.as_ref().map(|known| known.kind);
+    let mut request = settings.request(steps, eval.external.input.antialiased, kind);
     if eval.series.protocol.is_some() && steps.tokens {
         // As in the paper's tables.
         request.holdout_views = request.holdout_views.or(Some(0));
     }
     let mut best: Option<RefineResult> = None;
     loop {
-        let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
+        let photos = WithDepth(&photos, known.as_ref());
+        let refined = refinement::refine(session, arena, from, photos, &cameras, &request)?;
         let gain = best.as_ref().map_or(f64::INFINITY, |best| refined.training_psnr[0] - best.training_psnr[0]);
         match (&refined.stop_reason, &mut request.length) {
             (Some(StopReason::Cancelled), _) => return Err(Error::Cancelled),

@@ -78,8 +78,11 @@ impl ExternalScene {
 
     /// Formats the options for the scores' hash.
     pub fn key(&self) -> String {
-        let Self { scene, from_depth, scene_frame, scene_cameras, scene_unit, opacities, .. } = self;
-        format!("{scene:?} {from_depth:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
+        let Self { scene, from_depth, scene_frame, scene_cameras, scene_unit, opacities, input } = self;
+        let antialiased = input.antialiased.given();
+        format!(
+            "{scene:?} {from_depth:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?} {antialiased:?}"
+        )
     }
 
     pub fn make(

@@ -234,7 +234,11 @@ impl Eval {
         let given = self.finding.masks().is_some() && other;
         refuse("--masks", given, "aligned cameras or a --protocol", "a capture with known cameras")?;
         if self.external.given().is_none() {
-            self.external.input.refuse("without --scene", "with --scene")?;
+            let input = &self.external.input;
+            input.refuse_dropping("without --scene", "with --scene")?;
+            if self.refine.steps().is_none() {
+                input.antialiased.refuse("without --scene or --refine", "with one of them")?;
+            }
         }
         let usual = if self.series.protocol.is_some() { Filter::Bilinear } else { Filter::Lanczos };
         let (filter, compared) = (self.filter.unwrap_or(usual), self.eval_size.unwrap_or(size));

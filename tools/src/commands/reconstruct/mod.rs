@@ -9,6 +9,7 @@ mod world;
 
 use super::render::Render;
 use crate::{
+    antialiasing::Antialiasing,
     cameras::{Finding, KnownCameras, Place},
     options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
@@ -129,6 +130,8 @@ pub struct Reconstruct {
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineArgs,
+    #[command(flatten, next_help_heading = REFINEMENT)]
+    antialiased: Antialiasing,
     /// Also render the scene into this folder
     #[arg(long, help_heading = None::<&'static str>, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -140,6 +143,7 @@ pub struct Reconstruct {
 
 fn adapted(arg: Arg) -> Arg {
     let arg = refinement::with_cameras(arg);
+    let arg = if arg.get_id() == "antialiased" { arg.requires("refine") } else { arg };
     if arg.get_id() == "photos" { arg.required(false).required_unless_present("dry_run") } else { arg }
 }
 

@@ -77,7 +77,7 @@ fn show_tokens(
             views,
             command.refine.settings.largest(photos)?,
             command.finding.masks().is_some(),
-            &command.refine.settings.request(steps),
+            &command.refine.settings.planned(steps, command.antialiased),
         )
     });
     let refined = refined.transpose()?;

@@ -1,5 +1,6 @@
 use super::{Posed, Reconstruct, forward::Forward};
 use crate::{
+    known_depth::WithDepth,
     photos::PhotoFiles,
     refinement::{self, Initialization, Refinable, RefineTask},
     session::Session,
@@ -54,9 +55,12 @@ impl Reconstruct {
         let camera = |frame: &&CaptureView| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let masks = self.finding.masks();
-        let checkpoint = Some(refinement::checkpoint(self.output(), photos, masks.as_ref())?);
-        let photos = PhotoFiles::new(photos, frames, masks)?;
-        let request = RefineOptions { checkpoint, ..self.refine.settings.request(steps) };
+        let settings = &self.refine.settings;
+        let known = settings.known_depth(session, (photos, frames), &cameras, 1.0)?;
+        let checkpoint = Some(refinement::checkpoint(self.output(), photos, masks.as_ref(), known.as_ref())?);
+        let photos = WithDepth(PhotoFiles::new(photos, frames, masks)?, known.as_ref());
+        let depth = known.as_ref().map(|known| known.kind);
+        let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiased, depth) };
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());

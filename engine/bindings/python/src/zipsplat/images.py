@@ -35,6 +35,7 @@ class HasDLPack(Protocol):
 ImageLike = Union[PathLike, bytes, HasArrayInterface, HasDLPack]
 ImagesLike = Union[PathLike, Capture, Sequence[ImageLike]]
 MasksLike = Union[PathLike, Sequence[npt.ArrayLike]]
+DepthsLike = Sequence[Optional[npt.ArrayLike]]
 CamerasLike = Union[PathLike, Capture, Sequence[Camera]]
 
 
@@ -84,10 +85,13 @@ def save_image(path: PathLike, pixels: npt.ArrayLike) -> None:
 
 
 def native(
-    sources: Sequence[Any], masks: Optional[MasksLike] = None, inverted: bool = False
+    sources: Sequence[Any],
+    masks: Optional[MasksLike] = None,
+    inverted: bool = False,
+    depths: Optional[DepthsLike] = None,
 ) -> tuple[Any, list[Any]]:
     """Converts images for the library, with references to keep alive. Decodes in parallel."""
-    of_files, arrays = None, None
+    of_files, arrays, known = None, None, []
     if isinstance(masks, (str, os.PathLike)):
         folder = ffi.NULL if masks == "alpha" else ffi.new("char[]", os.fsencode(masks))
         of_files = structure("masks", inverted=int(inverted), folder=folder)
@@ -95,6 +99,10 @@ def native(
         arrays = [_mask(f"mask {index}", mask, inverted) for index, mask in enumerate(masks)]
         if len(arrays) != len(sources):
             raise ArgumentError(f"found {len(arrays)} masks, expected one for each of {len(sources)} images")
+    if depths is not None:
+        known = [None if depth is None else np.ascontiguousarray(depth, dtype=np.float32) for depth in depths]
+        if len(known) != len(sources):
+            raise ArgumentError(f"found {len(known)} depths, expected one for each of {len(sources)} images")
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         loaded = list(pool.map(lambda index, source: _load(index, source, of_files), range(len(sources)), sources))
     out = ffi.new("zs_image[]", len(loaded))
@@ -112,7 +120,13 @@ def native(
                 found, expected = list(arrays[index].shape), [to.height, to.width]
                 raise ArgumentError(f"mask {index}: found shape {found}, expected {expected}, as its image")
             to.mask, to.mask_stride = ffi.cast("uint8_t *", arrays[index].ctypes.data), 0
-    return out, [loaded, arrays]
+    for index, (to, depth) in enumerate(zip(out, known)):
+        if depth is not None:
+            if depth.shape != (to.height, to.width):
+                found, expected = list(depth.shape), [to.height, to.width]
+                raise ArgumentError(f"depth {index}: found shape {found}, expected {expected}, as its image")
+            to.depth = ffi.cast("float *", depth.ctypes.data)
+    return out, [loaded, arrays, known]
 
 
 def _mask(name: str, mask: npt.ArrayLike, inverted: bool) -> npt.NDArray[np.uint8]:

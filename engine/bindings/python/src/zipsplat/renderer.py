@@ -12,10 +12,9 @@ from ._native import Handle, Owner, call, ffi, lib, structure, structures
 from .cameras import Camera, native
 from .device import DeviceLike, opened
 from .errors import ArgumentError, ArgumentTypeError
-from .scene import Scene, native_gaussians
+from .scene import ANTIALIASING, Scene, native_gaussians
 
 DepthMode = Literal["expected", "accumulated"]
-_ANTIALIASING = {None: lib.ZS_ANTIALIASING_AUTO, True: lib.ZS_ANTIALIASING_ON, False: lib.ZS_ANTIALIASING_OFF}
 _DEPTHS = {"expected": lib.ZS_DEPTH_MODE_EXPECTED, "accumulated": lib.ZS_DEPTH_MODE_ACCUMULATED}
 
 
@@ -125,7 +124,7 @@ class Renderer(Owner):
             "render_options",
             format=lib.ZS_PIXEL_RGB8 if kind == np.uint8 else lib.ZS_PIXEL_RGB_F32,
             depth=_DEPTHS[depth or "expected"],
-            antialiasing=_ANTIALIASING[antialiased],
+            antialiasing=ANTIALIASING[antialiased],
             background=[float(value) for value in background],
         )
         arrays = {"pixels": rgb, "alpha": alphas, "depth": depths, "normals": normals_}

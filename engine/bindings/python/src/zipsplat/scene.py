@@ -16,7 +16,7 @@ from .cameras import Camera, PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
 from .errors import ArgumentError
-from .images import CamerasLike, ImagesLike, MasksLike, matched
+from .images import CamerasLike, DepthsLike, ImagesLike, MasksLike, matched
 from .images import native as native_images
 from .progress import Callback, ProgressFunction
 from .refine import RefineResult, refine_result
@@ -32,6 +32,7 @@ World = Literal["first_camera", "input_cameras"]
 SpzVersion = Literal[2, 3, 4]
 RefineTarget = Literal["gaussians", "tokens"]
 ExposureMode = Literal["auto", "off", "on"]
+DepthKind = Literal["metric", "relative"]
 EditName = Literal[
     "crop_box",
     "crop_sphere",
@@ -56,6 +57,8 @@ _WORLDS: dict[int, World] = {
 }
 _REFINE_TARGETS = {"gaussians": lib.ZS_REFINE_TARGET_GAUSSIANS, "tokens": lib.ZS_REFINE_TARGET_TOKENS}
 _EXPOSURE_MODES = {name: getattr(lib, f"ZS_EXPOSURE_{name.upper()}") for name in get_args(ExposureMode)}
+_DEPTH_KINDS = {name: getattr(lib, f"ZS_DEPTH_LOSS_{name.upper()}") for name in get_args(DepthKind)}
+ANTIALIASING = {None: lib.ZS_ANTIALIASING_AUTO, True: lib.ZS_ANTIALIASING_ON, False: lib.ZS_ANTIALIASING_OFF}
 _EDITS = {name: getattr(lib, f"ZS_EDIT_{name.upper()}") for name in get_args(EditName)}
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
 _LEAST_SCALE, _LEAST_OPACITY = 1e-30, 1e-7
@@ -378,6 +381,10 @@ class Scene:
         max_gaussians: Union[int, Literal["auto"]] = "auto",
         perceptual_weight: float = 0.0,
         target: RefineTarget = "gaussians",
+        antialiased: Optional[bool] = None,
+        depths: Optional[DepthsLike] = None,
+        depth_kind: DepthKind = "metric",
+        depth_weight: Optional[float] = None,
         masks: Optional[MasksLike] = None,
         invert_masks: bool = False,
         progress: Optional[ProgressFunction] = None,
@@ -405,6 +412,12 @@ class Scene:
             perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
                 tools/lpips.py of a checkout fetches.
             target: "gaussians", or "tokens" of a Reconstruction of a model with `tokens`.
+            antialiased: Whether to draw and return an antialiased scene; None for the scene's own.
+            depths: Known depth of each image, [height, width] along the camera's z axis and 0 if
+                unknown, or None; it joins the loss.
+            depth_kind: "metric" depth is in the scene's unit. The inverse of "relative" depth, as of
+                a depth network, is fitted to each photo's rendered one by a scale and a shift.
+            depth_weight: Initial weight of depth, which falls to a hundredth; None for the kind's.
             masks: Pixels to ignore, as for Model.reconstruct.
             invert_masks: Whether 0 keeps a pixel, and other values ignore it.
             progress: Called with the Progress after each step. Returning False ends the refinement
@@ -425,7 +438,9 @@ class Scene:
         if posed is None:
             raise ArgumentError("cameras: found none, expected one per image, as from zipsplat.estimate_cameras")
         on = opened(self._device if device is None else device)
-        photos, _kept = native_images(sources, masks, invert_masks)
+        if depth_weight is not None and not depth_weight > 0:
+            raise ArgumentError(f"depth_weight: found {depth_weight}, expected a number above 0")
+        photos, _kept = native_images(sources, masks, invert_masks, depths)
         callback = Callback(progress)
         refined_cameras = native_cameras(posed)
         options = structure(
@@ -441,6 +456,9 @@ class Scene:
             max_gaussians=0 if max_gaussians == "auto" else max(max_gaussians, 1),
             perceptual_weight=perceptual_weight,
             target=choose("target", target, _REFINE_TARGETS),
+            antialiasing=ANTIALIASING[antialiased],
+            depth_loss=lib.ZS_DEPTH_LOSS_OFF if depths is None else choose("depth_kind", depth_kind, _DEPTH_KINDS),
+            depth_weight=depth_weight or 0.0,
             **callback.fields,
         )
         result = structure("refine_result", cameras=refined_cameras)

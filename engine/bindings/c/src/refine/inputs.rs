@@ -1,0 +1,146 @@
+//! Checked arguments of a refinement.
+
+use super::{
+    super::{
+        camera::zs_camera,
+        image::zs_image,
+        pointers::{Versioned, read_array, read_versioned, write_array, write_versioned},
+        progress::{Reporter, zs_progress, zs_progress_action},
+        status::Failure,
+    },
+    zs_refine_options, zs_refine_result,
+};
+use std::{borrow::Cow, cell::Cell, ops::ControlFlow};
+use zipsplat::{
+    Camera, Error, Image, RefineOptions, RefineResult,
+    refine::{Photos, RefineProgress},
+};
+
+/// Checked arguments.
+pub(super) struct Inputs {
+    photos: Photographs,
+    cameras: Vec<Camera>,
+    pub options: zs_refine_options,
+    engine: RefineOptions,
+}
+
+/// Images with their known depth, if it is used.
+pub(super) struct Photographs {
+    images: Vec<Image>,
+    depths: Vec<Option<Vec<f32>>>,
+}
+
+impl Photos for &Photographs {
+    fn count(&self) -> usize {
+        self.images.count()
+    }
+
+    fn size(&self, i: usize) -> [u32; 2] {
+        self.images.size(i)
+    }
+
+    fn open(&self, i: usize) -> Result<Cow<'_, Image>, Error> {
+        self.images.open(i)
+    }
+
+    fn depth(&self, i: usize) -> Result<Option<Cow<'_, [f32]>>, Error> {
+        Ok(self.depths.get(i).and_then(Option::as_deref).map(Cow::Borrowed))
+    }
+}
+
+pub(super) type ProgressFunction<'a> = &'a mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>;
+
+impl Inputs {
+    /// # Safety
+    /// Arrays have `count` elements, structures their stated sizes; all may be NULL.
+    pub unsafe fn read(
+        images: *const zs_image,
+        cameras: *const zs_camera,
+        count: usize,
+        options: *const zs_refine_options,
+        result: *mut zs_refine_result,
+    ) -> Result<Self, Failure> {
+        if count == 0 {
+            return Err(Failure::argument("number of images", count, "at least 1"));
+        }
+        // SAFETY: the caller's promise. Outputs are checked before expensive work.
+        let (images, cameras, options) = unsafe {
+            read_array(read_versioned(result)?.cameras.cast_const(), output_count(result, count)?, "cameras")?;
+            (read_array(images, count, "images")?, read_array(cameras, count, "cameras")?, read_versioned(options)?)
+        };
+        let engine = options.engine()?;
+        let cameras = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let photo = |(i, image): (usize, &zs_image)| {
+            // SAFETY: the caller's pixels.
+            unsafe { image.image(&format!("image {i}")) }
+        };
+        let pictures = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
+        let depth = |image: &zs_image| {
+            // SAFETY: the caller's array.
+            unsafe { image.known_depth() }
+        };
+        let depths: Vec<Option<Vec<f32>>> = match engine.depth_loss {
+            Some(_) => images.iter().map(depth).collect(),
+            None => Vec::new(),
+        };
+        if engine.depth_loss.is_some() && depths.iter().all(Option::is_none) {
+            let expected = "that of some image, for depth_loss";
+            return Err(Failure::argument("depth of the images", "NULL in all", expected));
+        }
+        let photos = Photographs { images: pictures, depths };
+        Ok(Self { photos, cameras, options, engine })
+    }
+
+    pub fn run(
+        &self,
+        refine: impl FnOnce(&Photographs, &[Camera], &RefineOptions, ProgressFunction<'_>) -> Result<RefineResult, Error>,
+    ) -> Result<RefineResult, Error> {
+        let reporter = Reporter { callback: self.options.progress, user_data: self.options.user_data };
+        let is_cancelled = Cell::new(false);
+        let mut progress = |now: RefineProgress<'_>| match reporter.report("refine", of(&now)) {
+            zs_progress_action::ZS_CONTINUE => ControlFlow::Continue(()),
+            action => {
+                is_cancelled.set(action == zs_progress_action::ZS_CANCEL);
+                ControlFlow::Break(())
+            }
+        };
+        let found = refine(&self.photos, &self.cameras, &self.engine, &mut progress)?;
+        if is_cancelled.get() { Err(Error::Cancelled) } else { Ok(found) }
+    }
+
+    /// # Safety
+    /// As [`Inputs::read`].
+    pub unsafe fn write(&self, result: *mut zs_refine_result, found: &RefineResult) -> Result<(), Failure> {
+        if result.is_null() {
+            return Ok(());
+        }
+        // SAFETY: checked in `read`.
+        unsafe {
+            let cameras = read_versioned(result)?.cameras;
+            write_versioned(result, zs_refine_result { cameras, ..found.into() })?;
+            if cameras.is_null() { Ok(()) } else { write_array(cameras, found.cameras.iter().map(zs_camera::from)) }
+        }
+    }
+}
+
+/// Returns `count` if the result has an output array, else 0.
+///
+/// # Safety
+/// `result` is NULL or a structure of its stated size.
+unsafe fn output_count(result: *const zs_refine_result, count: usize) -> Result<usize, Failure> {
+    // SAFETY: the caller's promise.
+    let cameras = unsafe { read_versioned(result) }?.cameras;
+    Ok(if cameras.is_null() { 0 } else { count })
+}
+
+fn of(now: &RefineProgress<'_>) -> zs_progress {
+    zs_progress {
+        fraction: now.step as f64 / now.steps.max(1) as f64,
+        step: now.step,
+        steps: now.steps,
+        loss: now.loss.map_or(f64::NAN, f64::from),
+        psnr: now.psnr.unwrap_or(f64::NAN),
+        eta_seconds: now.eta.as_secs_f64(),
+        ..Versioned::new()
+    }
+}

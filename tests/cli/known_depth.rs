@@ -1,0 +1,96 @@
+use crate::Folder;
+use std::path::Path;
+use zipsplat::Scene;
+
+const PHOTOS: &str = "@/place/images --cameras @/place/transforms.json";
+
+/// 6 photos in `@/place`, with exact depth in `@/place/depth`.
+fn place() -> Folder {
+    let folder = Folder::new();
+    folder.run("scene --seed 5 --views 6 --size 42x28 -o @/place").success();
+    folder
+}
+
+fn values(folder: &Folder, number: usize) -> Vec<f32> {
+    let bytes = folder.read(&format!("place/depth/{number:03}.npy"));
+    bytes[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+}
+
+fn save_levels(path: &Path, [width, height]: [u32; 2], values: &[f32]) {
+    let levels = values.iter().map(|value| (1000.0 * value).round() as u16).collect();
+    let picture = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_raw(width, height, levels);
+    picture.expect("as many levels").save(path).expect("written");
+}
+
+#[test]
+fn known_depth_joins_the_loss() {
+    let folder = place().with_depth();
+    let line = |options: &str| {
+        let start = "--init points --steps 12 --holdout-views 0";
+        format!("refine {PHOTOS} {start} -o @/scene.ply --overwrite {options}")
+    };
+    let refined = |options: &str| {
+        let json = folder.run(&line(&format!("{options} --json"))).json();
+        (json["refined"]["depth_fraction"].as_f64().expect("a number"), folder.read("scene.ply"))
+    };
+    let (none, without) = refined("");
+    let (all, metric) = refined("--depth-loss @/place/depth");
+    assert!(none == 0.0 && all > 0.5 && metric != without, "{all}");
+    assert!(metric == refined("--depth-loss @/place/depth").1, "bits differ from run to run");
+    assert!(without == refined("--depth-loss @/place/depth --depth-weight 0").1);
+    // The first three photos as levels, rounded; the others without depth.
+    std::fs::create_dir(folder.path("levels")).expect("a folder");
+    (0..3).for_each(|i| save_levels(&folder.path(&format!("levels/{i:03}.png")), [42, 28], &values(&folder, i)));
+    let outcome = folder.run(&line("--depth-loss @/levels --explain"));
+    assert!(outcome.err.contains("photos without depth: 003.png"), "{}", outcome.err);
+    let text = outcome.success();
+    assert!(text.contains("in the cameras' unit; weight 2") && folder.read("scene.ply") != metric, "{text}");
+    // A network's, predicted and from its file.
+    folder.run("depth @/place/images --weights @/da3.safetensors --input-size 42 -o @/predicted").success();
+    let text = folder.run(&line("--depth-loss @/predicted --explain")).success();
+    let from_file = folder.read("scene.ply");
+    assert!(text.contains("100.0 % of the pixels, relative") && from_file != without, "{text}");
+    let (all, predicted) = refined("--depth-loss @/da3.safetensors");
+    assert!(all == 1.0 && predicted != without);
+}
+
+#[test]
+fn evaluations_and_reconstructions_take_known_depth() {
+    let folder = place();
+    let micro = "--weights @/micro.safetensors --input-size 28x28 --refine 5 --init points";
+    let eval = format!("eval @/place --views 3 --lpips none {micro} -o @/out --overwrite --json");
+    let psnr = |options: &str| folder.run(&format!("{eval} {options}")).json()["mean"]["psnr"].as_f64().expect("dB");
+    assert!(psnr("") != psnr("--depth-loss @/place/depth"));
+    assert!(psnr("") != psnr("--antialiased"));
+    let reconstruct = format!("reconstruct {PHOTOS} {micro} --depth-loss @/place/depth --antialiased");
+    let json = folder.run(&format!("{reconstruct} -o @/scene.ply --json")).json();
+    assert!(json["refined"]["depth_fraction"].as_f64() > Some(0.5), "{json}");
+    assert!(Scene::open(folder.path("scene.ply")).expect("a scene").antialiased);
+    let bytes = |options: &str| {
+        let json = folder.run(&format!("reconstruct {PHOTOS} --dry-run {micro} {options} --json")).json();
+        json["refine_arena_bytes"].as_u64().expect("bytes")
+    };
+    assert!(bytes("--depth-loss @/place/depth") > bytes(""));
+}
+
+#[test]
+fn unusable_depth_is_named() {
+    let folder = place();
+    let fails = |options: &str, words: &[&str]| {
+        folder.run(&format!("refine {PHOTOS} --init points --steps 2 -o @/scene.ply {options}")).fails(3, words);
+    };
+    std::fs::create_dir(folder.path("other")).expect("a folder");
+    fails("--depth-loss @/other", &["other", "none for 000.png", "NAME.npy"]);
+    fails("--depth-loss nowhere", &["nowhere", "da3-small"]);
+    let mut bytes = folder.read("place/depth/000.npy");
+    bytes[128 + 4 * 43..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
+    folder.write("other/000.npy", &bytes);
+    fails("--depth-loss @/other", &["000.npy", "NaN at column 1, row 1", "0 if unknown"]);
+    std::fs::remove_file(folder.path("other/000.npy")).expect("removed");
+    save_levels(&folder.path("other/000.png"), [30, 28], &[1.0; 30 * 28]);
+    fails("--depth-loss @/other", &["000.png", "30x28", "42x28"]);
+    image::GrayImage::new(42, 28).save(folder.path("other/000.png")).expect("written");
+    fails("--depth-loss @/other", &["000.png", "Grayscale of 8 bits", "16-bit"]);
+    folder.run(&format!("reconstruct {PHOTOS} --depth-loss @/place/depth -o @/scene.ply")).fails_usage();
+    folder.run(&format!("refine {PHOTOS} --init points --depth-weight 1 -o @/scene.ply")).fails_usage();
+}

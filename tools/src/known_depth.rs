@@ -1,0 +1,275 @@
+//! Known depth of photos: of sensors, other programs or a depth network.
+
+use crate::{
+    depth::{CamerasFrom, PredictorOptions},
+    npy,
+    options::ArithmeticOption,
+    outputs::DEPTH_LEVELS,
+    photos,
+    released::open_depth,
+    session::Session,
+    stamp::{digest, stamp},
+};
+use safetensors::SafeTensors;
+use std::{
+    borrow::Cow,
+    fs::File,
+    io::BufReader,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+use zipsplat::{
+    Error, Result,
+    depth::DepthOptions,
+    refine::{DepthKind, Photos},
+    types::{Camera, Image, Intrinsics, poses::CaptureView},
+};
+
+/// File of `depth` with the depth of all its photos.
+pub const VALUES: &str = "depths.safetensors";
+/// Metadata of [`VALUES`]: the photos' names without extension.
+pub const PHOTOS: &str = "zipsplat.photos";
+
+/// Depth of a refinement's photos.
+pub struct KnownDepth {
+    pub kind: DepthKind,
+    maps: Vec<Option<DepthMap>>,
+    /// Length of the scene's unit in that of metric depth.
+    unit: f64,
+}
+
+struct DepthMap {
+    source: Source,
+    /// Of the whole photo, and of the refinement's.
+    photo: Intrinsics,
+    refined: Intrinsics,
+}
+
+enum Source {
+    File(PathBuf),
+    Predicted { values: Arc<[f32]>, intrinsics: Intrinsics },
+}
+
+impl KnownDepth {
+    /// Opens the depth of photos in `source`: a folder, or the name or weights of a depth network,
+    /// which predicts it. `cameras` are those of the refinement's photos, in a scene whose unit has
+    /// the length `unit`.
+    pub fn open(
+        session: &mut Session<'_>,
+        source: &Path,
+        (files, frames): (&[PathBuf], &[&CaptureView]),
+        cameras: &[Camera],
+        unit: f64,
+    ) -> Result<Self> {
+        if let Some(frame) = frames.iter().find(|frame| frame.lens.is_some()) {
+            let found = format!("{}, whose lens distorts", frame.name);
+            return Err(Error::argument("--depth-loss", found, "photos of a pinhole camera"));
+        }
+        let file = source.join(VALUES);
+        let (kind, sources) = match (source.is_dir(), file.is_file()) {
+            (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
+            (true, false) => (DepthKind::Metric, frames.iter().map(|frame| depth_file(source, frame)).collect()),
+            (false, _) => (DepthKind::Relative, predict(session, photos::text(source)?, files, frames)?),
+        };
+        let known = sources.iter().flatten().count();
+        if known == 0 {
+            let found = format!("none for {} and the other photos", photos::names(&files[..files.len().min(1)]));
+            let expected = format!("NAME.npy or NAME.png for a photo NAME, or {VALUES} of these photos");
+            return Err(Error::argument(format!("depth in {}", source.display()), found, expected));
+        }
+        if known < files.len() {
+            let without = files.iter().zip(&sources).filter(|(_, source)| source.is_none());
+            let without: Vec<PathBuf> = without.map(|(file, _)| file.clone()).collect();
+            session.note(format!("photos without depth: {}", photos::names(&without)));
+        }
+        let map = |((source, frame), camera): ((Option<Source>, &&CaptureView), &Camera)| {
+            Some(DepthMap { source: source?, photo: frame.camera.intrinsics, refined: camera.intrinsics })
+        };
+        Ok(Self { kind, maps: sources.into_iter().zip(frames).zip(cameras).map(map).collect(), unit })
+    }
+
+    /// Returns what identifies the depth in a checkpoint.
+    pub fn stamps(&self) -> Result<Vec<String>> {
+        let of = |map: &Option<DepthMap>| match map.as_ref().map(|map| &map.source) {
+            None => Ok("no depth".to_owned()),
+            Some(Source::File(path)) => stamp(path),
+            Some(Source::Predicted { values, .. }) => {
+                let bits = |value: &f32| format!("{:08x}", value.to_bits());
+                Ok(digest(&values.iter().map(bits).collect::<Vec<_>>()))
+            }
+        };
+        self.maps.iter().map(of).collect()
+    }
+
+    fn read(&self, i: usize) -> Result<Option<Vec<f32>>> {
+        let Some(DepthMap { source, photo, refined }) = &self.maps[i] else { return Ok(None) };
+        match source {
+            Source::File(path) => read_file(path, photo, refined, self.unit).map(Some),
+            Source::Predicted { values, intrinsics } => Ok(Some(sampled(values, intrinsics, refined, 1.0))),
+        }
+    }
+}
+
+/// Photos with their known depth, if any.
+pub struct WithDepth<'a, P>(pub P, pub Option<&'a KnownDepth>);
+
+impl<P: Photos> Photos for WithDepth<'_, P> {
+    fn count(&self) -> usize {
+        self.0.count()
+    }
+
+    fn size(&self, i: usize) -> [u32; 2] {
+        self.0.size(i)
+    }
+
+    fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
+        self.0.open(i)
+    }
+
+    fn depth(&self, i: usize) -> Result<Option<Cow<'_, [f32]>>> {
+        let depth = self.1.map(|known| known.read(i)).transpose()?.flatten();
+        Ok(depth.map(Cow::Owned))
+    }
+}
+
+fn named(folder: &Path, frame: &CaptureView, extension: &str) -> PathBuf {
+    folder.join(Path::new(&frame.name).file_stem().unwrap_or_default()).with_extension(extension)
+}
+
+fn depth_file(folder: &Path, frame: &CaptureView) -> Option<Source> {
+    let files = ["npy", "png"].map(|extension| named(folder, frame, extension));
+    files.into_iter().find(|file| file.is_file()).map(Source::File)
+}
+
+/// Reads a photo's depth from FOLDER/NAME.npy, as [`read_file`].
+pub fn read_npy(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
+    if frame.lens.is_some() {
+        let found = format!("{}, whose lens distorts", frame.name);
+        return Err(Error::argument("--from-depth", found, "photos of a pinhole camera"));
+    }
+    read_file(&named(folder, frame, "npy"), &frame.camera.intrinsics, &camera.intrinsics, unit)
+}
+
+/// Reads the depth of a whole photo, nearest sampled for a camera and divided by `unit`.
+fn read_file(file: &Path, photo: &Intrinsics, camera: &Intrinsics, unit: f64) -> Result<Vec<f32>> {
+    let ([width, height], values) = match file.extension().is_some_and(|extension| extension == "png") {
+        true => read_png(file)?,
+        false => npy::read(file)?,
+    };
+    check_shape(file, [width, height], photo)?;
+    if let Some(at) = values.iter().position(|value| !(value.is_finite() && *value >= 0.0)) {
+        let (value, x, y) = (values[at], at as u32 % width, at as u32 / width);
+        let reason = format!("found {value} at column {x}, row {y}, expected distances, or 0 if unknown");
+        return Err(Error::format(file, None, reason));
+    }
+    Ok(sampled(&values, &photo.resized(width, height), camera, unit))
+}
+
+fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Result<()> {
+    let stretch = f64::from(width) * f64::from(photo.height) / (f64::from(height) * f64::from(photo.width));
+    if (stretch - 1.0).abs() <= 0.01 {
+        return Ok(());
+    }
+    let expected = format!("the shape of its photo, {}x{}", photo.width, photo.height);
+    Err(Error::argument(file.display().to_string(), format!("{width}x{height}"), expected))
+}
+
+/// Reads 16-bit levels, as `render --depth` and many sensors write them: millimeters, if the unit
+/// is a meter.
+fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
+    let malformed = |found: String| {
+        Error::format(
+            file,
+            None,
+            format!("found {found}, expected a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit"),
+        )
+    };
+    let opened = File::open(file).map_err(|error| Error::io(file, error))?;
+    let mut reader = png::Decoder::new(BufReader::new(opened)).read_info().map_err(|e| malformed(e.to_string()))?;
+    let (color, bits) = reader.output_color_type();
+    if (color, bits) != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
+        return Err(malformed(format!("{color:?} of {} bits", bits as u8)));
+    }
+    let mut bytes = vec![0; reader.output_buffer_size().ok_or_else(|| malformed("a picture too large".into()))?];
+    let info = reader.next_frame(&mut bytes).map_err(|error| malformed(error.to_string()))?;
+    let level = |two: &[u8]| f32::from(u16::from_be_bytes([two[0], two[1]])) / DEPTH_LEVELS;
+    Ok(([info.width, info.height], bytes[..info.buffer_size()].chunks_exact(2).map(level).collect()))
+}
+
+/// Nearest pixels of a map of intrinsics `from` for each of `to`, divided by `unit`; 0 outside.
+fn sampled(values: &[f32], from: &Intrinsics, to: &Intrinsics, unit: f64) -> Vec<f32> {
+    let [columns, rows] = [0, 1].map(|axis| pixels(axis, to, from));
+    let value = |y: &Option<usize>, x: &Option<usize>| {
+        let at = (*y)? * from.width as usize + (*x)?;
+        Some((f64::from(values[at]) / unit) as f32)
+    };
+    rows.iter().flat_map(|y| columns.iter().map(move |x| value(y, x).unwrap_or(0.0))).collect()
+}
+
+fn pixels(axis: usize, of: &Intrinsics, from: &Intrinsics) -> Vec<Option<usize>> {
+    let lens = |i: &Intrinsics| if axis == 0 { (i.fx, i.cx, i.width) } else { (i.fy, i.cy, i.height) };
+    let ((f, c, count), (from_f, from_c, size)) = (lens(of), lens(from));
+    let at = |k: u32| ((f64::from(k) + 0.5 - c) / f * from_f + from_c).floor();
+    // A pixel's rounding may leave the map.
+    let inside = |at: f64| (at >= -1.0 && at <= f64::from(size)).then(|| at.clamp(0.0, f64::from(size - 1)) as usize);
+    (0..count).map(|k| inside(at(k))).collect()
+}
+
+/// Reads the photos' depth that `depth` wrote.
+fn read_values(file: &Path, photos: &[PathBuf], frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
+    let bytes = std::fs::read(file).map_err(|error| Error::io(file, error))?;
+    let malformed = |found: String| {
+        Error::format(file, None, format!("found {found}, expected depth [photos, height, width] of `zipsplat depth`"))
+    };
+    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| malformed(error.to_string()))?;
+    let names = header.metadata().as_ref().and_then(|metadata| metadata.get(PHOTOS));
+    let names: Vec<String> =
+        names.and_then(|names| serde_json::from_str(names).ok()).ok_or_else(|| malformed(format!("no {PHOTOS}")))?;
+    let tensors = SafeTensors::deserialize(&bytes).map_err(|error| malformed(error.to_string()))?;
+    let depth = tensors.tensor("depth").map_err(|error| malformed(error.to_string()))?;
+    let (shape, data) = (depth.shape(), depth.data());
+    let [count, height, width] = *shape else { return Err(malformed(format!("{shape:?}"))) };
+    if depth.dtype() != safetensors::Dtype::F32 || count != names.len() {
+        return Err(malformed(format!("{:?} {shape:?} of {} photos", depth.dtype(), names.len())));
+    }
+    let size = [width as u32, height as u32];
+    let source = |(photo, frame): (&PathBuf, &&CaptureView)| {
+        let stem = photo.file_stem().unwrap_or_default().to_string_lossy();
+        let Some(i) = names.iter().position(|name| *name == stem) else { return Ok(None) };
+        check_shape(file, size, &frame.camera.intrinsics)?;
+        let map = &data[4 * i * width * height..4 * (i + 1) * width * height];
+        let value = |four: &[u8]| f32::from_le_bytes([four[0], four[1], four[2], four[3]]);
+        let values: Arc<[f32]> = map.chunks_exact(4).map(value).collect();
+        if let Some(wrong) = values.iter().find(|value| !(value.is_finite() && **value >= 0.0)) {
+            return Err(malformed(format!("{wrong} in the depth of {stem}")));
+        }
+        let intrinsics = frame.camera.intrinsics.resized(size[0], size[1]);
+        Ok(Some(Source::Predicted { values, intrinsics }))
+    };
+    photos.iter().zip(frames).map(source).collect()
+}
+
+fn predict(
+    session: &mut Session<'_>,
+    network: &str,
+    photos: &[PathBuf],
+    frames: &[&CaptureView],
+) -> Result<Vec<Option<Source>>> {
+    let (checkpoint, arithmetic) = (open_depth(network, false)?, ArithmeticOption::default());
+    let options = PredictorOptions {
+        checkpoint: &checkpoint,
+        side: None,
+        masks: None,
+        cameras: CamerasFrom::default(),
+        arithmetic: &arithmetic,
+        request: DepthOptions::default(),
+    };
+    let predicted = options.ask(session, photos, frames)?;
+    let source = |(i, frame): (usize, &&CaptureView)| {
+        let label = photos[i].display().to_string();
+        let intrinsics = predicted.views[i].map.apply(&frame.camera.intrinsics, &label)?;
+        let values = predicted.depths.views[i].depth.as_slice().into();
+        Ok(Some(Source::Predicted { values, intrinsics }))
+    };
+    frames.iter().enumerate().map(source).collect()
+}
