@@ -11,6 +11,7 @@ use super::photos::Photos;
 use super::rng::Rng;
 use super::survey::{self, Lens};
 use super::tone::Development;
+use super::wide;
 use super::world::{Hit, World};
 
 /// Paths tried per place.
@@ -181,6 +182,36 @@ impl Setup {
             depths: depths.into_iter().map(scaled).collect(),
             overlap: self.overlap.clone(),
         })
+    }
+
+    /// Takes photos of a wide lens along the path, black outside its image circle.
+    ///
+    /// # Errors
+    /// As `go_on`.
+    pub fn shoot_wide(&self, lens: &wide::WideLens, photos: &Photos, go_on: GoOn<'_>) -> Result<Vec<Image>> {
+        let Intrinsics { width, height, fx, .. } = lens.0.intrinsics;
+        let light = |view: &View, x: u32, y: u32| {
+            let sample = |(dx, dy): &(f32, f32)| {
+                let ray = lens.ray(f64::from(x) + 0.5 + f64::from(*dx), f64::from(y) + 0.5 + f64::from(*dy));
+                ray.map_or(Vec3A::ZERO, |ray| {
+                    self.world.trace(view.eye, view.rotation * ray, 0.5 / fx as f32, photos).light
+                })
+            };
+            ROTATED_GRID.iter().map(sample).sum::<Vec3A>() / 4.0
+        };
+        let image = |(i, view): (usize, &View)| {
+            let row = |y: u32| go_on().map(|()| (0..width).map(|x| light(view, x, y)).collect());
+            let rows = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<Vec3A>>>>()?;
+            let mut rgb = self.development.develop(i, width as usize, rows.concat());
+            for (at, pixel) in rgb.chunks_exact_mut(3).enumerate() {
+                let at = at as u32;
+                if lens.ray(f64::from(at % width) + 0.5, f64::from(at / width) + 0.5).is_none() {
+                    pixel.fill(0);
+                }
+            }
+            Image::new(width, height, rgb)
+        };
+        self.views.iter().enumerate().map(image).collect()
     }
 
     /// From the first camera, in meters.

@@ -1,10 +1,14 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
-use zipsplat::types::{poses::write_transforms, write_atomic, write_points};
+use zipsplat::types::{
+    Image,
+    poses::{write_frames, write_transforms},
+    write_atomic, write_points,
+};
 use zipsplat::{Error, Result};
 
-use super::{Capture, Crop, VERSION};
+use super::{Capture, Crop, VERSION, WideLens};
 use crate::{
     npy,
     outputs::{MADE_BY, is_own, remove_stale, save_json, save_picture},
@@ -63,6 +67,17 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "license": crop.license})).collect::<Vec<_>>(),
     });
     save_json(&folder.join(SCENE), &scene)
+}
+
+/// Replaces the photos of [`write_folder`] by those of a wide lens, and removes their depth.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, images: &[Image]) -> Result<()> {
+    let names: Vec<String> = (0..images.len()).map(photo).collect();
+    images.iter().zip(&names).try_for_each(|(image, name)| save_picture(&folder.join(name), image))?;
+    remove_stale(&folder.join("depth"), 0, |path| path.extension().is_some_and(|ext| ext == "npy"))?;
+    write_frames(folder.join("transforms.json"), &lens.frames(&capture.cameras, &names)?, Some("points.ply"))
 }
 
 fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {
