@@ -54,7 +54,7 @@ pub struct Reading {
     /// are cut into 8 overlapping pinhole photos, whose cameras are found one by one [default:
     /// equirectangular for photos of 2:1 whose GPano metadata says so, else pinhole]
     #[arg(long, value_enum, value_name = "MODEL")]
-    camera_model: Option<CameraModel>,
+    pub camera_model: Option<CameraModel>,
 }
 
 impl PhotoArgs {

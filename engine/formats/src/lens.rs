@@ -182,8 +182,8 @@ impl Lens {
         let is_partial = !wraps && self.view_count() > 1;
         let mask_at = |at: usize| {
             let (x, y) = place(at / columns, at % columns);
-            let is_shown = !is_partial
-                || (0.0..=f64::from(size[0])).contains(&x) && (0.0..=f64::from(size[1])).contains(&y);
+            let is_shown =
+                !is_partial || (0.0..=f64::from(size[0])).contains(&x) && (0.0..=f64::from(size[1])).contains(&y);
             let kept = photo.mask.as_ref().map_or(u8::MAX, |mask| Image::mask_around(mask, size, x, y));
             if is_shown { kept } else { 0 }
         };
@@ -255,7 +255,8 @@ impl Lens {
             toward_edge.clamp(TURN_DEG[0], TURN_DEG[1]).to_radians()
         };
         let mut turns = vec![DMat3::IDENTITY];
-        for (angle, rotation) in [(across, DMat3::from_rotation_y as fn(f64) -> DMat3), (down, DMat3::from_rotation_x)] {
+        for (angle, rotation) in [(across, DMat3::from_rotation_y as fn(f64) -> DMat3), (down, DMat3::from_rotation_x)]
+        {
             if 2.0 * angle.to_degrees() > MAX_VIEW_DEG {
                 turns.extend([-turn(angle), turn(angle)].map(rotation));
             }

@@ -143,7 +143,8 @@ fn places_are_those_of_independent_formulas() {
             assert!((hfov - 100.0).abs() < 1e-9, "{hfov}");
             let own = frame.lens.unwrap();
             let place = own.places(lens.size).unwrap();
-            for (row, column) in (0..size[1]).step_by(3).flat_map(|row| (0..size[0]).step_by(3).map(move |c| (row, c))) {
+            for (row, column) in (0..size[1]).step_by(3).flat_map(|row| (0..size[0]).step_by(3).map(move |c| (row, c)))
+            {
                 let ray = view_ray(&frame.camera, [f64::from(column) + 0.5, f64::from(row) + 0.5]);
                 let (x, y) = place(row as usize, column as usize);
                 if x.is_nan() {

@@ -54,7 +54,7 @@ pub struct Scene {
     /// Photos of a wide lens, without depth
     #[arg(long, value_enum, value_name = "MODEL", requires = "wide_size", conflicts_with = "shards")]
     camera_model: Option<WideModel>,
-    /// Size of the photos of --camera-model; --size is that of the pinhole photos behind points.ply
+    /// Size of the photos of --camera-model; --size is that of the photos that choose the path
     #[arg(long, value_name = "WxH", requires = "camera_model")]
     wide_size: Option<Size>,
     /// Folder to write to, created if missing

@@ -2,13 +2,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 use zipsplat::types::{
-    Image,
     poses::{write_frames, write_transforms},
     write_atomic, write_points,
 };
 use zipsplat::{Error, Result};
 
-use super::{Capture, Crop, VERSION, WideLens};
+use super::{Capture, Crop, VERSION, WideLens, WidePhoto};
 use crate::{
     npy,
     outputs::{MADE_BY, is_own, remove_stale, save_json, save_picture},
@@ -69,13 +68,16 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     save_json(&folder.join(SCENE), &scene)
 }
 
-/// Replaces the photos of [`write_folder`] by those of a wide lens, and removes their depth.
+/// Replaces the photos and points of [`write_folder`] by those of a wide lens, and removes the depth.
 ///
 /// # Errors
 /// [`Error::Io`].
-pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, images: &[Image]) -> Result<()> {
-    let names: Vec<String> = (0..images.len()).map(photo).collect();
-    images.iter().zip(&names).try_for_each(|(image, name)| save_picture(&folder.join(name), image))?;
+pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, photos: &[WidePhoto]) -> Result<()> {
+    let names: Vec<String> = (0..photos.len()).map(photo).collect();
+    photos.iter().zip(&names).try_for_each(|((image, _), name)| save_picture(&folder.join(name), image))?;
+    let points = photos.iter().flat_map(|(_, points)| points);
+    let scaled = points.map(|(at, color)| ((*at / capture.meters).as_vec3().to_array(), *color));
+    write_points(folder.join("points.ply"), &scaled.collect::<Vec<_>>())?;
     remove_stale(&folder.join("depth"), 0, |path| path.extension().is_some_and(|ext| ext == "npy"))?;
     write_frames(folder.join("transforms.json"), &lens.frames(&capture.cameras, &names)?, Some("points.ply"))
 }

@@ -25,7 +25,7 @@ mod tone;
 mod wide;
 mod world;
 
-pub use capture::{Capture, GoOn, Options, Setup};
+pub use capture::{Capture, GoOn, Options, Setup, WidePhoto};
 pub use families::Family;
 pub use folder::{files, write_folder, write_wide};
 pub use height_field::HeightField;

@@ -112,6 +112,7 @@ impl FromPhotos {
             ("--scene-scale", self.scene_scale.is_some()),
             ("--refine", self.refines()),
             ("--masks", self.finding.masks().is_some()),
+            ("--camera-model", self.reading.camera_model.is_some()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }

@@ -24,7 +24,11 @@ pub fn write_colmap(folder: impl AsRef<Path>, frames: &[CaptureView], points: &[
         frame.camera.validate(&format!("camera {i}"))?;
         if let Some(view) = view {
             let expected = "all of its views as they were cut; a transforms.json has others";
-            return Err(Error::argument(format!("lens of {} for COLMAP", frame.name), format!("view {view}"), expected));
+            return Err(Error::argument(
+                format!("lens of {} for COLMAP", frame.name),
+                format!("view {view}"),
+                expected,
+            ));
         }
         if frame.name.is_empty() || frame.name.contains(char::is_whitespace) {
             return Err(Error::argument(
