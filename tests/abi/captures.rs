@@ -30,7 +30,7 @@ fn capture(points: bool) -> TempDir {
     for (i, (photo, pose)) in photos(COUNT as u32).iter().zip(orbit.sweep(COUNT, 5.0, 40.0, -10.0)).enumerate() {
         let name = format!("images/{i}.png");
         photo.save_png(folder.path().join(&name)).expect("a photo can be written");
-        let lens = Some(Lens { intrinsics, distortion });
+        let lens = Some(Lens { intrinsics, distortion, view: 0 });
         frames.push(CaptureView { name, photo: None, camera: Camera { intrinsics, pose }, lens });
     }
     if points {

@@ -31,6 +31,7 @@ mod vggt;
 mod video;
 mod view;
 mod weights;
+mod wide;
 
 use std::{
     ops::ControlFlow::Continue,

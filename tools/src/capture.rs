@@ -64,15 +64,17 @@ pub struct Score {
 }
 
 impl Choice {
-    /// Chooses `views` frames by farthest-point sampling of positions, and all others or `targets`
-    /// evenly spread ones. Skips frames without a photo.
+    /// Chooses `views` photos by farthest-point sampling of positions, and all others or `targets`
+    /// evenly spread ones, with all of their frames. Skips frames without a photo.
     pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         Self::of(Capture::open(folder)?, folder, views, targets)
     }
 
     /// Acts as [`Choice::new`] on known frames; `folder` is for messages.
     pub fn of(poses: Capture, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
-        let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
+        let is_first = |i: &usize| poses.frames[*i].photo.is_some() && !poses.frames[*i].is_later_view();
+        let found: Vec<usize> = (0..poses.frames.len()).filter(is_first).collect();
+        let frames = |first: usize| first..first + poses.views_of(&poses.frames[first]).len();
         if found.len() <= views {
             let expected = format!("more than --views {views}, to have some to compare with");
             let why =
@@ -84,8 +86,8 @@ impl Choice {
         let chosen = farthest_points(&centers, views);
         let others: Vec<usize> = (0..found.len()).filter(|i| !chosen.contains(i)).collect();
         let count = targets.map_or(others.len(), |targets| others.len().min(targets));
-        let targets = (0..count).map(|i| found[others[i * others.len() / count]]).collect();
-        let inputs = chosen.into_iter().map(|i| found[i]).collect();
+        let targets = (0..count).flat_map(|i| frames(found[others[i * others.len() / count]])).collect();
+        let inputs = chosen.into_iter().flat_map(|i| frames(found[i])).collect();
         Ok(Self { inputs, targets, poses, masks: None })
     }
 

@@ -139,6 +139,21 @@ pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
     write_atomic(path, |out| out.write_all(&bytes))
 }
 
+/// As [`save_jpeg`], with a focal length as of 35 mm film in millimeters, from which COLMAP starts.
+pub fn save_jpeg_of_focal(image: &Image, focal: u16, path: &Path) -> Result<()> {
+    let mut bytes = image.jpeg(QUALITY)?;
+    let [low, high] = focal.to_le_bytes();
+    // Segment, TIFF header, directory with a link to the EXIF directory, which has the one tag.
+    let exif = [
+        &b"\xff\xe1\x00\x34Exif\0\0II*\0\x08\0\0\0"[..],
+        b"\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0",
+        b"\x01\0\x05\xa4\x03\0\x01\0\0\0",
+        &[low, high, 0, 0, 0, 0, 0, 0],
+    ];
+    bytes.splice(2..2, exif.concat());
+    write_atomic(path, |out| out.write_all(&bytes))
+}
+
 #[cfg(test)]
 mod tests {
     use super::words;

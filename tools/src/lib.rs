@@ -24,6 +24,7 @@ pub mod metrics;
 mod npy;
 mod options;
 mod outputs;
+mod panorama;
 mod photos;
 mod pictures;
 mod plot;

@@ -86,16 +86,16 @@ impl ValueFiles {
         let values = read_values(path, labels)?;
         let Some(lens) = lens else { return Ok(values) };
         let PixelValues { width, height, channels, values } = values;
-        let place = lens.places([width, height])?;
+        let (place, [columns, rows]) = (lens.places([width, height])?, lens.view_size([width, height]));
         let empty = vec![f32::NAN; channels];
         let at = |cell: usize| {
-            let (x, y) = place(cell / width as usize, cell % width as usize);
+            let (x, y) = place(cell / columns as usize, cell % columns as usize);
             let is_inside = x >= 0.0 && y >= 0.0 && x < f64::from(width) && y < f64::from(height);
             let source = if is_inside { y as usize * width as usize + x as usize } else { usize::MAX };
             values.get(source.saturating_mul(channels)..).and_then(|row| row.get(..channels)).unwrap_or(&empty)
         };
-        let values = (0..values.len() / channels.max(1)).flat_map(|cell| at(cell).to_vec()).collect();
-        Ok(PixelValues { width, height, channels, values })
+        let values = (0..columns as usize * rows as usize).flat_map(|cell| at(cell).to_vec()).collect();
+        Ok(PixelValues { width: columns, height: rows, channels, values })
     }
 }
 

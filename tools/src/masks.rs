@@ -1,5 +1,8 @@
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
 use zipsplat::types::{MaskSource, Masks};
 
 const ALPHA: &str = "alpha";
@@ -14,6 +17,9 @@ pub struct MaskArgs {
     /// Ignore the pixels that are not 0, instead
     #[arg(long, requires = "masks")]
     invert_masks: bool,
+    /// Masks of photos that were cut.
+    #[arg(skip)]
+    cut: OnceLock<Masks>,
 }
 
 impl MaskArgs {
@@ -28,6 +34,12 @@ impl MaskArgs {
     }
 
     pub fn given(&self) -> Option<Masks> {
-        self.below(Path::new(""))
+        self.cut.get().cloned().or_else(|| self.below(Path::new("")))
+    }
+
+    /// Sets the masks of the photos that replaced the given ones.
+    pub fn replace(&self, masks: Masks) {
+        // Photos are listed once.
+        let _ = self.cut.set(masks);
     }
 }

@@ -1,7 +1,9 @@
 use crate::{
     heic::{is_heic, to_jpeg},
-    options::Size,
+    masks::MaskArgs,
+    options::{Size, refuse},
     outputs::Overwrite,
+    panorama::{self, CameraModel},
     session::{Session, Stage},
     table::counted,
     video::{FRAMES, FrameFolder, is_video, sharpest_frames},
@@ -48,6 +50,11 @@ pub struct Reading {
     /// Program that decodes videos and HEIC
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
+    /// Camera model of photos and videos without a camera file. Equirectangular 360-degree photos
+    /// are cut into 8 overlapping pinhole photos, whose cameras are found one by one [default:
+    /// equirectangular for photos of 2:1 whose GPano metadata says so, else pinhole]
+    #[arg(long, value_enum, value_name = "MODEL")]
+    pub camera_model: Option<CameraModel>,
 }
 
 impl PhotoArgs {
@@ -55,20 +62,22 @@ impl PhotoArgs {
         &self,
         session: &mut Session<'_>,
         frames: Option<u32>,
+        unposed: Option<&MaskArgs>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
-        self.reading.list(session, &self.photos, frames, named_in)
+        self.reading.list(session, (&self.photos, frames), unposed, named_in)
     }
 }
 
 impl Reading {
-    /// Also converts videos and HEIC: `frames` per video, or a default. The folder of converted
-    /// photos lies beside their camera file, if any.
+    /// Also converts videos and HEIC: `frames` per video, or a default. Of photos that are
+    /// `unposed`, takes `frames`, and cuts 360-degree ones, with their masks. The folder of
+    /// converted photos lies beside their camera file, if any.
     pub fn list(
         &self,
         session: &mut Session<'_>,
-        paths: &[PathBuf],
-        frames: Option<u32>,
+        (paths, frames): (&[PathBuf], Option<u32>),
+        unposed: Option<&MaskArgs>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
         let mut listed = Vec::new();
@@ -83,24 +92,35 @@ impl Reading {
         let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
         let make = || named_in.map_or_else(FrameFolder::temporary, beside);
         let needed = !heic.is_empty() || listed.iter().any(|path| is_video(path));
-        let Some(folder) = needed.then(make).transpose()? else { return Ok((listed, None)) };
-        let mut made = match heic[..] {
-            [] => Vec::new(),
-            _ => to_jpeg(session, &self.ffmpeg, &heic, folder.path())?,
+        let mut folder = needed.then(make).transpose()?;
+        let mut made = match (&heic[..], &folder) {
+            ([_, ..], Some(folder)) => to_jpeg(session, &self.ffmpeg, &heic, folder.path())?,
+            _ => Vec::new(),
         }
         .into_iter();
         let mut photos = Vec::new();
         for path in &listed {
-            if is_video(path) {
-                let count = frames.map_or(FRAMES, |frames| frames as usize);
-                photos.extend(sharpest_frames(session, &self.ffmpeg, path, count, folder.path())?);
-            } else if is_heic(path) {
-                photos.extend(made.next());
-            } else {
-                photos.push(path.clone());
+            match &folder {
+                Some(folder) if is_video(path) => {
+                    let count = frames.map_or(FRAMES, |frames| frames as usize);
+                    photos.extend(sharpest_frames(session, &self.ffmpeg, path, count, folder.path())?);
+                }
+                Some(_) if is_heic(path) => photos.extend(made.next()),
+                _ => photos.push(path.clone()),
             }
         }
-        Ok((photos, Some(folder)))
+        let Some(masks) = unposed else {
+            refuse("--camera-model", self.camera_model.is_some(), "cameras of a file", "photos without a camera file")?;
+            return Ok((photos, folder));
+        };
+        let photos = spread(photos, frames);
+        let is_panorama = panorama::find(session, &photos, self.camera_model)?;
+        if !is_panorama.contains(&true) {
+            return Ok((photos, folder));
+        }
+        let place = folder.take().map_or_else(make, Ok)?;
+        let photos = panorama::cut(session, &photos, &is_panorama, masks, place.path())?;
+        Ok((photos, Some(place)))
     }
 }
 
@@ -228,7 +248,8 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
-/// Keeps at most `views` photos that have a camera among any `poses`.
+/// Keeps at most `views` photos that have a camera among any `poses`, each as many times as it has
+/// views.
 pub fn kept(
     session: &mut Session<'_>,
     photos: Vec<PathBuf>,
@@ -237,7 +258,7 @@ pub fn kept(
 ) -> Result<Vec<PathBuf>> {
     let Some(poses) = poses else { return Ok(spread(photos, views)) };
     session.notes(&poses.warnings);
-    Ok(spread(posed(session, photos, poses)?, views))
+    poses.per_view(spread(posed(session, photos, poses)?, views))
 }
 
 pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Capture) -> Result<Vec<PathBuf>> {
@@ -288,8 +309,11 @@ pub struct PhotoFiles<'a> {
 impl<'a> PhotoFiles<'a> {
     /// Reads the sizes of photos.
     pub fn new(paths: &'a [PathBuf], frames: &'a [&'a CaptureView], masks: Option<Masks>) -> Result<Self> {
-        let size = |path: &PathBuf| if frames.is_empty() { Image::size(path) } else { Image::size_as_stored(path) };
-        let sizes = paths.par_iter().map(|path| size(path).map(<[u32; 2]>::from));
+        let size = |(i, path): (usize, &PathBuf)| match frames.get(i) {
+            None => Image::size(path).map(<[u32; 2]>::from),
+            Some(frame) => Ok(frame.size(Image::size_as_stored(path)?.into())),
+        };
+        let sizes = paths.par_iter().enumerate().map(size);
         Ok(Self { paths, frames, masks, sizes: sizes.collect::<Vec<_>>().into_iter().collect::<Result<_>>()? })
     }
 }

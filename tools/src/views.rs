@@ -68,12 +68,17 @@ impl Crop {
         }
     }
 
-    pub fn count(self, photos: &[PathBuf]) -> Result<usize> {
+    /// One frame each, or none.
+    pub fn count(self, photos: &[PathBuf], frames: &[&CaptureView]) -> Result<usize> {
         if self == Self::Center {
             return Ok(photos.len());
         }
-        let count = |path: &PathBuf| Image::size_as_stored(path).map(|(width, height)| tile_count(width, height));
-        let views = photos.iter().map(count).sum::<Result<usize>>()?;
+        let count = |(i, path): (usize, &PathBuf)| {
+            let photo = Image::size_as_stored(path)?.into();
+            let [width, height] = frames.get(i).map_or(photo, |frame| frame.size(photo));
+            Ok(tile_count(width, height))
+        };
+        let views = photos.iter().enumerate().map(count).sum::<Result<usize>>()?;
         if views > MAX_VIEWS {
             let expected =
                 format!("at most {MAX_VIEWS}; --views N takes N of the photos, --crop center one view of each");

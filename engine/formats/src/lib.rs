@@ -43,7 +43,7 @@ pub use file::{Unfinished, open_file, remove_stale, write_atomic};
 pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};
 pub use format::SaveOptions;
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
-pub use lens::{Distortion, Lens};
+pub use lens::{CUT_VIEW_DEG, Distortion, Lens, LensView, MAX_VIEW_DEG};
 pub use mask::{MASKED, MaskSource, Masks, named_after};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
 pub use scene::{NEAR, Scene, near};

@@ -208,7 +208,7 @@ fn point_clouds_are_found_and_read() {
 fn models_are_written_as_they_are_read() {
     let (truth, names) = cameras();
     let folder = tempfile::tempdir().unwrap();
-    let of_lens = |distortion: Distortion| Lens { intrinsics: LENS, distortion };
+    let of_lens = |distortion: Distortion| Lens { intrinsics: LENS, distortion, view: 0 };
     let bent = |k3: f64| Distortion::Perspective {
         numerator: [-0.05, 0.01, k3, 0.0],
         denominator: [k3, 0.0, 0.5 * k3],

@@ -1,6 +1,7 @@
 mod colmap;
 mod lens;
 mod realestate;
+mod wide;
 
 use glam::DMat4;
 use serde_json::{Value, json};

@@ -3,7 +3,7 @@ use crate::{
     depth::CamerasFrom,
     options::refuse,
     outputs::Overwrite,
-    photos::{self, PhotoArgs},
+    photos::PhotoArgs,
     session::{Session, stage_seconds},
     table::time,
     video::FrameFolder,
@@ -62,8 +62,8 @@ impl Cameras {
         self.model.check(self.overwrite)?;
         let unused = self.method == Finder::Colmap && self.weights.is_some();
         refuse("--weights", unused, "COLMAP, which needs none", "--method da3 or vggt")?;
-        let (photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
-        let photos = photos::spread(photos, self.views);
+        let named_in = Some((&*self.output, self.overwrite));
+        let (photos, mut frames) = self.input.list(session, self.views, Some(&self.search.masks), named_in)?;
         let (search, depth_weights) = (self.search.clone(), self.weights.clone());
         let finding = Finding { search, cameras: self.cameras, depth_weights };
         let (poses, found) = self.method.find(session, &photos, &finding)?;

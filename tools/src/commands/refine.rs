@@ -4,6 +4,7 @@ use crate::{
     known_depth::WithDepth,
     options::SceneInput,
     outputs::{self, Overwrite},
+    panorama,
     photos::{self, PhotoFiles},
     refinement::{
         self, DEFAULT_LENGTH, Initialization, Refinable, RefineSettings, RefineTask, parse_steps, save_cameras,
@@ -98,6 +99,9 @@ impl Refine {
             return Err(Error::argument(format!("--cameras {}", self.cameras.display()), "with a scene", expected));
         }
         let photos = photos::list(session, files)?;
+        if KnownCameras::to_find(&self.cameras) {
+            panorama::refuse(&photos)?;
+        }
         let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
         let photos = photos::kept(session, photos, Some(&poses), None)?;
         let masks = self.finding.masks();

@@ -1,7 +1,7 @@
 use crate::{
     options::Size,
     outputs::{self, Overwrite},
-    procedural::{Options, Photos, Setup, files, shards, write_folder},
+    procedural::{Options, Photos, Setup, WideLens, WideModel, files, shards, write_folder, write_wide},
     session::Session,
     table::counted,
 };
@@ -51,6 +51,12 @@ pub struct Scene {
     /// Also write splats.ply: one Gaussian per surface pixel, from exact depth
     #[arg(long, conflicts_with = "shards")]
     splats: bool,
+    /// Photos of a wide lens, without depth
+    #[arg(long, value_enum, value_name = "MODEL", requires = "wide_size", conflicts_with = "shards")]
+    camera_model: Option<WideModel>,
+    /// Size of the photos of --camera-model; --size is that of the photos that choose the path
+    #[arg(long, value_name = "WxH", requires = "camera_model")]
+    wide_size: Option<Size>,
     /// Folder to write to, created if missing
     #[arg(long, short, value_name = "FOLDER", required_unless_present = "shards", conflicts_with = "shards")]
     output: Option<PathBuf>,
@@ -86,12 +92,17 @@ impl Scene {
         outputs::check_folder(folder)?;
         let splats = self.splats.then(|| folder.join("splats.ply"));
         self.overwrite.check_replaced(files(folder, self.views).into_iter().chain(splats.clone()))?;
-        let (capture, took) = session.stage("take photos", |stage| {
+        let wide = self.camera_model.zip(self.wide_size);
+        let wide = wide.map(|(model, Size(width, height))| WideLens::new(model, width, height)).transpose()?;
+        let ((capture, wide), took) = session.stage("take photos", |stage| {
             let go_on = || stage.check();
-            Setup::new(self.seed, options, photos, &go_on)?.shoot(photos, &go_on)
+            let setup = Setup::new(self.seed, options, photos, &go_on)?;
+            let images = wide.as_ref().map(|lens| setup.shoot_wide(lens, photos, &go_on)).transpose()?;
+            Ok((setup.shoot(photos, &go_on)?, wide.zip(images)))
         })?;
         session.stage("write", |_| {
             write_folder(folder, &capture, photos.crops())?;
+            wide.map_or(Ok(()), |(lens, images)| write_wide(folder, &capture, &lens, &images))?;
             let Some(path) = splats else { return Ok(()) };
             let world = World::from(Origin::Cameras(Pose::IDENTITY));
             let (splats, options) = (capture.splats(), SaveOptions::default());

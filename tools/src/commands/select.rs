@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Camera, Error, Result, SaveOptions, Scene,
     features::{FeatureRenderer, Lifted, PixelValues},
-    types::{Lens, World, read_world},
+    types::{Intrinsics, Lens, World, read_world},
 };
 
 /// Least mean of a mask's values, and pixels of weight, of a Gaussian inside.
@@ -128,13 +128,21 @@ impl Select {
     ) -> Result<Vec<usize>> {
         let (capture, to_scene) = self.photos.open(session, world)?;
         let view = self.view.clone().unwrap_or_default();
-        let frame = capture.frames_of(std::slice::from_ref(&view))?[0];
-        let camera = to_scene.apply(&frame.camera);
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let first = capture.frames_of(std::slice::from_ref(&view))?[0];
+        let Intrinsics { width, height, .. } = first.lens.map_or(first.camera.intrinsics, |lens| lens.intrinsics);
         if x >= width || y >= height {
             return Err(Error::argument("--at", format!("{x},{y}"), format!("a pixel of {width} x {height}")));
         }
-        let [x, y] = frame.lens.as_ref().map_or(Ok([x, y]), |lens| pinhole_pixel(lens, [x, y]))?;
+        let mut nearest = (f64::INFINITY, [x, y], first);
+        for frame in capture.views_of(first) {
+            let Some(lens) = &frame.lens else { break };
+            let (distance, at) = pinhole_pixel(lens, [x, y])?;
+            if distance < nearest.0 {
+                nearest = (distance, at, frame);
+            }
+        }
+        let (_, [x, y], frame) = nearest;
+        let camera = to_scene.apply(&frame.camera);
         let camera = Camera { intrinsics: camera.intrinsics.crop(x as i32, y as i32, 1, 1), ..camera };
         let one = PixelValues { width: 1, height: 1, channels: 1, values: vec![1.0] };
         let found = lift(session, scene, &[camera], |_| Ok(one.clone()))?;
@@ -146,16 +154,18 @@ impl Select {
     }
 }
 
-/// Returns the pixel of a lens's pinhole picture nearest to a photo's pixel.
-fn pinhole_pixel(lens: &Lens, [x, y]: [u32; 2]) -> Result<[u32; 2]> {
-    let [width, height] = [lens.intrinsics.width, lens.intrinsics.height];
-    let place = lens.places([width, height])?;
+/// Returns the pixel of a lens's pinhole picture nearest to a photo's pixel, and its distance
+/// there.
+fn pinhole_pixel(lens: &Lens, [x, y]: [u32; 2]) -> Result<(f64, [u32; 2])> {
+    let photo = [lens.intrinsics.width, lens.intrinsics.height];
+    let (place, [width, height]) = (lens.places(photo)?, lens.view_size(photo));
     let distance = |at: &[u32; 2]| {
         let (u, v) = place(at[1] as usize, at[0] as usize);
         (u - f64::from(x) - 0.5).hypot(v - f64::from(y) - 0.5)
     };
     let pixels = (0..height).flat_map(|v| (0..width).map(move |u| [u, v]));
-    Ok(pixels.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or([x, y]))
+    let measured = pixels.map(|at| (distance(&at), at));
+    Ok(measured.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, [x, y])))
 }
 
 fn lift(

@@ -13,6 +13,7 @@ use super::photos::Photos;
 use super::rng::Rng;
 use super::survey::{self, Lens};
 use super::tone::Development;
+use super::wide::WideLens;
 use super::world::{Hit, World};
 
 /// Label of the sky, and of surfaces beyond the largest 255.
@@ -25,6 +26,12 @@ const LEAST_CONTRAST: f32 = 0.05;
 const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
 /// Of the longer side in degrees, skewed toward narrow.
 const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
+
+/// Pixels between points of wide photos.
+const WIDE_POINT_STEP: u32 = 8;
+
+/// A wide photo, and points that it shows, with their colors.
+pub type WidePhoto = (Image, Vec<(DVec3, [u8; 3])>);
 
 /// Distinct row and column offsets.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
@@ -190,6 +197,44 @@ impl Setup {
             labels,
             overlap: self.overlap.clone(),
         })
+    }
+
+    /// Takes photos of a wide lens along the path, black outside its image circle, with points of
+    /// the first photo's world in meters and the pixels that show them.
+    ///
+    /// # Errors
+    /// As `go_on`.
+    pub fn shoot_wide(&self, lens: &WideLens, photos: &Photos, go_on: GoOn<'_>) -> Result<Vec<WidePhoto>> {
+        let Intrinsics { width, height, fx, .. } = lens.0.intrinsics;
+        let trace = |view: &View, x: u32, y: u32, (dx, dy): (f32, f32)| {
+            let ray = lens.ray(f64::from(x) + 0.5 + f64::from(dx), f64::from(y) + 0.5 + f64::from(dy))?;
+            Some((ray, self.world.trace(view.eye, view.rotation * ray, 0.5 / fx as f32, photos)))
+        };
+        let light = |view: &View, x: u32, y: u32| {
+            let sample = |offset: &(f32, f32)| trace(view, x, y, *offset).map_or(Vec3A::ZERO, |(_, hit)| hit.light);
+            ROTATED_GRID.iter().map(sample).sum::<Vec3A>() / 4.0
+        };
+        let poses = self.poses();
+        let photo = |(i, view): (usize, &View)| {
+            let row = |y: u32| go_on().map(|()| (0..width).map(|x| light(view, x, y)).collect());
+            let rows = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<Vec3A>>>>()?;
+            let mut rgb = self.development.develop(i, width as usize, rows.concat());
+            let pose = poses[i].relative_to(&poses[0]);
+            let mut points = Vec::new();
+            for (at, pixel) in rgb.chunks_exact_mut(3).enumerate() {
+                let [x, y] = [at as u32 % width, at as u32 / width];
+                if lens.ray(f64::from(x) + 0.5, f64::from(y) + 0.5).is_none() {
+                    pixel.fill(0);
+                } else if [x, y].iter().all(|at| at % WIDE_POINT_STEP == 0)
+                    && let Some((ray, hit)) = trace(view, x, y, (0.0, 0.0))
+                    && let Some(distance) = hit.distance
+                {
+                    points.push((pose.transform((ray * distance).as_dvec3()), [pixel[0], pixel[1], pixel[2]]));
+                }
+            }
+            Ok((Image::new(width, height, rgb)?, points))
+        };
+        self.views.iter().enumerate().map(photo).collect()
     }
 
     /// From the first camera, in meters.

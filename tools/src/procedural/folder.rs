@@ -2,10 +2,13 @@ use std::path::{Path, PathBuf};
 
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::json;
-use zipsplat::types::{poses::write_transforms, write_atomic, write_points};
+use zipsplat::types::{
+    poses::{write_frames, write_transforms},
+    write_atomic, write_points,
+};
 use zipsplat::{Error, Result};
 
-use super::{Capture, Crop, VERSION};
+use super::{Capture, Crop, VERSION, WideLens, WidePhoto};
 use crate::{
     npy,
     outputs::{MADE_BY, is_own, remove_stale, save_json, save_picture},
@@ -79,6 +82,20 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "license": crop.license})).collect::<Vec<_>>(),
     });
     save_json(&folder.join(SCENE), &scene)
+}
+
+/// Replaces the photos and points of [`write_folder`] by those of a wide lens, and removes the depth.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, photos: &[WidePhoto]) -> Result<()> {
+    let names: Vec<String> = (0..photos.len()).map(photo).collect();
+    photos.iter().zip(&names).try_for_each(|((image, _), name)| save_picture(&folder.join(name), image))?;
+    let points = photos.iter().flat_map(|(_, points)| points);
+    let scaled = points.map(|(at, color)| ((*at / capture.meters).as_vec3().to_array(), *color));
+    write_points(folder.join("points.ply"), &scaled.collect::<Vec<_>>())?;
+    remove_stale(&folder.join("depth"), 0, |path| path.extension().is_some_and(|ext| ext == "npy"))?;
+    write_frames(folder.join("transforms.json"), &lens.frames(&capture.cameras, &names)?, Some("points.ply"))
 }
 
 fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {

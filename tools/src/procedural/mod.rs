@@ -22,16 +22,18 @@ mod splats;
 mod survey;
 mod texture;
 mod tone;
+mod wide;
 mod world;
 
-pub use capture::{Capture, GoOn, Options, Setup};
+pub use capture::{Capture, GoOn, Options, Setup, WidePhoto};
 pub use families::Family;
-pub use folder::{files, write_folder};
+pub use folder::{files, write_folder, write_wide};
 pub use height_field::HeightField;
 pub use path::PathKind;
 pub use photos::{Crop, Photos};
 pub use shape::{Primitive, Shape};
 pub use survey::{LEAST_OVERLAP, WITNESSES};
+pub use wide::{WideLens, WideModel};
 pub use world::World;
 
 /// Version of the generator's output.

@@ -107,8 +107,8 @@ impl Place {
             let found = self.photos.iter().map(|folder| folder.join(name)).find(|photo| photo.is_file());
             frame.photo = found.or(frame.photo.take());
             match frame.lens.filter(|_| distorted) {
-                Some(lens) if matches!(lens.distortion, Distortion::Fisheye(_)) => {
-                    let found = format!("the fisheye lens of {}", frame.name);
+                Some(lens) if !matches!(lens.distortion, Distortion::Perspective { .. }) || lens.view_count() > 1 => {
+                    let found = format!("the wide lens of {}", frame.name);
                     return Err(Error::argument("--keep-distortion", found, "lenses that are almost pinholes"));
                 }
                 Some(lens) => (frame.camera.intrinsics, frame.lens) = (lens.intrinsics, None),

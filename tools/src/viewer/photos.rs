@@ -94,12 +94,11 @@ impl FromPhotos {
         paths: &[PathBuf],
         poses: Option<&Path>,
     ) -> Result<Photographed> {
-        let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
-        if poses.is_some_and(KnownCameras::to_find) {
-            photos = photos::spread(photos, self.views);
-        }
+        let unposed = poses.is_none_or(KnownCameras::to_find).then_some(&self.finding.search.masks);
+        let (photos, folder) = self.reading.list(session, (paths, self.views), unposed, None)?;
         let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
-        let photos = photos::kept(session, photos, known.as_ref().map(|known| &known.poses), self.views)?;
+        let views = self.views.filter(|_| unposed.is_none());
+        let photos = photos::kept(session, photos, known.as_ref().map(|known| &known.poses), views)?;
         self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
         Ok(Photographed { photos, known, folder })
     }
@@ -114,6 +113,7 @@ impl FromPhotos {
             ("--scene-scale", self.scene_scale.is_some()),
             ("--refine", self.refines()),
             ("--masks", self.finding.masks().is_some()),
+            ("--camera-model", self.reading.camera_model.is_some()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }
@@ -142,11 +142,11 @@ impl FromPhotos {
         let (size, crop) = (self.quality.size_for(&checkpoint), self.crop.crop);
         crop.check(size, poses.is_some())?;
         session.notes(self.quality.doubt_size(&checkpoint));
-        let count = crop.count(&photos)?;
+        let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        let count = crop.count(&photos, &frames)?;
         let chosen = (self.quality.ratio, &self.quality.token_selection);
         Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?
             .pooled(self.quality.kv_pool)?;
-        let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let masks = self.finding.masks();
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
@@ -165,9 +165,9 @@ impl FromPhotos {
         let cloud = cloud.map(read_cloud).transpose()?;
         let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let mut names = Vec::new();
-        for photo in &photos {
+        for (i, photo) in photos.iter().enumerate() {
             // Crops of one photo are consecutive.
-            let views = crop.count(std::slice::from_ref(photo))?;
+            let views = crop.count(std::slice::from_ref(photo), frames.get(i..=i).unwrap_or_default())?;
             names.extend(std::iter::repeat_n(name(photo), views));
         }
         let live = Live {

@@ -403,7 +403,8 @@ typedef struct zs_capture_info {
 
 // Opens a capture: a transforms.json (instant-ngp, nerfstudio), a COLMAP model folder, or a folder
 // that contains either. World and scale stay the file's. Photos are read only for sizes that the
-// file lacks.
+// file lacks. Photos of lenses wider than 110 degrees have several views, one after another and of
+// one name.
 zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
 // Creates a capture from copies of pinhole cameras. Paths may be NULL.

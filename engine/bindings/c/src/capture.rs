@@ -84,7 +84,8 @@ fn c_text(text: &str) -> CString {
 
 /// Opens a capture: a transforms.json (instant-ngp, nerfstudio), a COLMAP model folder, or a folder
 /// that contains either. World and scale stay the file's. Photos are read only for sizes that the
-/// file lacks.
+/// file lacks. Photos of lenses wider than 110 degrees have several views, one after another and of
+/// one name.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
     // SAFETY: the caller's arguments.

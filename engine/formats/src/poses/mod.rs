@@ -8,21 +8,22 @@ mod realestate;
 mod scene_scale;
 mod transforms;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
 use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion_from_matrix};
-use super::{Image, Lens, Masks, PointCloud, file::read_file};
+use super::{CUT_VIEW_DEG, Image, Lens, LensView, MAX_VIEW_DEG, Masks, PointCloud, file::read_file};
 use crate::{Error, Result};
 
 pub use colmap::{colmap_files, write_colmap};
 pub use scene_scale::{SceneScale, Source};
 pub use transforms::{write_frames, write_frames_with, write_transforms};
 
-/// Photos with cameras.
+/// Photos with cameras. Photos of lenses wider than [`MAX_VIEW_DEG`] have a frame for each of
+/// their [`Lens::views`], one after another and of one name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Capture {
     /// In file order, or by name if the file has none.
@@ -42,20 +43,57 @@ pub struct CaptureView {
     pub name: String,
     /// Path, if found near the file.
     pub photo: Option<PathBuf>,
-    /// Pinhole camera in the file's world and unit; [`Lens::pinhole`] of a `lens`.
+    /// Pinhole camera in the file's world and unit; the shown view of a `lens`.
     pub camera: Camera,
     /// Lens, if it distorts.
     pub lens: Option<Lens>,
 }
 
 impl CaptureView {
-    fn new(name: String, photo: Option<PathBuf>, lens: Lens, pose: Pose, label: &str) -> Result<Self, String> {
+    /// Returns a frame for each view of the lens, which has the pose, or for one of them.
+    fn of_lens(
+        (name, photo): (String, Option<PathBuf>),
+        lens: Lens,
+        pose: Pose,
+        view: Option<usize>,
+        label: &str,
+    ) -> Result<Vec<Self>, String> {
         let camera = checked(Camera { intrinsics: lens.intrinsics, pose }, label)?;
         if lens.distortion.is_none() {
-            return Ok(Self { name, photo, camera, lens: None });
+            return Ok(vec![Self { name, photo, camera, lens: None }]);
         }
-        let intrinsics = lens.pinhole(label).map_err(|error| error.to_string())?;
-        Ok(Self { name, photo, camera: Camera { intrinsics, ..camera }, lens: Some(lens) })
+        let views = lens.views(label).map_err(|error| error.to_string())?;
+        if let Some(view) = view.filter(|view| *view >= views.len()) {
+            return Err(format!("{label}.view: found {view}, expected a number below {}", views.len()));
+        }
+        let frame = |(i, LensView { intrinsics, rotation }): (usize, &LensView)| {
+            let turned = Pose { rotation: camera.pose.rotation * *rotation, ..camera.pose };
+            let pose = if i == 0 { camera.pose } else { turned };
+            let (name, photo, lens) = (name.clone(), photo.clone(), Some(Lens { view: i, ..lens }));
+            Self { name, photo, camera: Camera { intrinsics: *intrinsics, pose }, lens }
+        };
+        Ok(views.iter().enumerate().filter(|(i, _)| view.is_none_or(|view| view == *i)).map(frame).collect())
+    }
+
+    /// Returns whether this is a view of a photo after the first.
+    pub fn is_later_view(&self) -> bool {
+        self.lens.is_some_and(|lens| lens.view > 0)
+    }
+
+    /// Returns the size of the frame's picture of a photo.
+    pub fn size(&self, photo: [u32; 2]) -> [u32; 2] {
+        self.lens.map_or(photo, |lens| lens.view_size(photo))
+    }
+
+    /// Returns the pose of the photo of which this is a view.
+    fn photo_pose(&self) -> Pose {
+        match self.lens.filter(|lens| lens.view > 0) {
+            Some(lens) => {
+                let rotation = self.camera.pose.rotation * lens.rotation().transpose();
+                Pose { rotation, ..self.camera.pose }
+            }
+            None => self.camera.pose,
+        }
     }
 
     /// Opens a photo as seen by this frame's camera: undistorted, regardless of EXIF orientation.
@@ -145,7 +183,7 @@ impl Capture {
     }
 
     /// Returns the frames of `photos`, matched by file name, then by the longest common end of the
-    /// path.
+    /// path. A photo given several times has its views in turn, as of [`Capture::per_view`].
     ///
     /// # Errors
     /// [`Error::Argument`] for a photo without a frame, with several equal matches, or with another
@@ -155,15 +193,57 @@ impl Capture {
         let frames = photos.iter().map(|photo| find(photo.as_ref())).collect::<Result<Vec<&CaptureView>>>()?;
         // The same photo may be given twice, but two photos cannot share a frame.
         let file = |photo: &Path| photo.canonicalize().unwrap_or_else(|_| photo.to_path_buf());
-        let mut photo_of: HashMap<*const CaptureView, &Path> = HashMap::new();
-        for (photo, frame) in photos.iter().map(AsRef::as_ref).zip(&frames) {
-            let other = *photo_of.entry(*frame).or_insert(photo);
-            if other != photo && file(other) != file(photo) {
+        let mut photo_of: HashMap<*const CaptureView, (&Path, usize)> = HashMap::new();
+        let mut views = Vec::new();
+        for (photo, frame) in photos.iter().map(AsRef::as_ref).zip(frames) {
+            let (other, count) = photo_of.entry(frame).or_insert((photo, 0));
+            if *other != photo && file(other) != file(photo) {
                 let found = format!("{}, as of {}", frame.name, other.display());
                 return Err(Error::argument(format!("camera of {}", photo.display()), found, "one of its own"));
             }
+            let of_photo = self.views_of(frame);
+            views.push(&of_photo[*count % of_photo.len()]);
+            *count += 1;
         }
-        Ok(frames)
+        Ok(views)
+    }
+
+    /// Returns the frames of the photo whose first is given.
+    pub fn views_of<'a>(&'a self, first: &'a CaptureView) -> &'a [CaptureView] {
+        let Some(start) = self.frames.iter().position(|frame| std::ptr::eq(frame, first)) else {
+            return std::slice::from_ref(first);
+        };
+        let later = self.frames[start + 1..].iter();
+        let count = later.take_while(|frame| frame.is_later_view() && frame.name == first.name).count();
+        &self.frames[start..=start + count]
+    }
+
+    /// Returns the photos, each as many times as it has views.
+    ///
+    /// # Errors
+    /// As [`Capture::frames_of`].
+    pub fn per_view(&self, photos: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
+        let mut views = Vec::new();
+        for photo in photos {
+            let count = self.frame_of(&photo)?.map_or(1, |first| self.views_of(first).len());
+            views.extend(std::iter::repeat_n(photo, count));
+        }
+        Ok(views)
+    }
+
+    /// Adds a warning about photos that have several views.
+    fn warn_of_cut(mut self) -> Self {
+        let cut: HashSet<&str> =
+            self.frames.iter().filter(|frame| frame.is_later_view()).map(|frame| frame.name.as_str()).collect();
+        let views = self.frames.iter().filter(|frame| cut.contains(frame.name.as_str())).count();
+        if !cut.is_empty() {
+            self.warnings.push(format!(
+                "photos of lenses wider than {MAX_VIEW_DEG} degrees, {} of them, are cut into {views} pinhole views of \
+                 {CUT_VIEW_DEG} degrees",
+                cut.len(),
+            ));
+        }
+        self
     }
 
     fn lacks(&self, photo: &Path) -> Error {
@@ -191,6 +271,7 @@ impl Capture {
         if found.is_empty() {
             found = named(photo.file_stem());
         }
+        found.dedup_by(|later, first| later.is_later_view() && later.name == first.name);
         let common = |frame: &CaptureView| common_folders(photo, Path::new(&frame.name));
         let most = found.iter().map(|frame| common(frame)).max();
         match found.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
@@ -209,6 +290,29 @@ impl Capture {
         format!("its file name among those of the poses ({}): {}{more}", self.frames.len(), names.join(", "))
     }
 }
+
+/// Returns the frames to write: views of a photo as one frame with the photo's pose if their poses
+/// agree, else each with the number of its view.
+fn joined(frames: &[CaptureView]) -> Vec<(CaptureView, Option<usize>)> {
+    let mut written = Vec::new();
+    let mut rest = frames;
+    while let Some(first) = rest.first() {
+        let count = first.lens.map_or(1, |lens| lens.view_count());
+        let pose = first.photo_pose();
+        let is_next = |(i, frame): (usize, &CaptureView)| {
+            let agrees = frame.photo_pose().matrix().abs_diff_eq(pose.matrix(), SAME_POSE);
+            frame.name == first.name && frame.lens == first.lens.map(|lens| Lens { view: i, ..lens }) && agrees
+        };
+        let are_joined = rest.len() >= count && rest[..count].iter().enumerate().all(is_next);
+        let photo = CaptureView { camera: Camera { pose, ..first.camera }, ..first.clone() };
+        written.push((photo, first.lens.map(|lens| lens.view).filter(|_| !are_joined && count > 1)));
+        rest = &rest[if are_joined { count } else { 1 }..];
+    }
+    written
+}
+
+/// Largest difference of the matrices of one photo's views.
+const SAME_POSE: f64 = 1e-9;
 
 fn common_folders(a: &Path, b: &Path) -> usize {
     let above = |path: &Path| path.parent().map(Path::to_path_buf).unwrap_or_default();

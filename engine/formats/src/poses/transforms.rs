@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use super::super::file::{read_file, write_atomic};
 use super::super::{Camera, Distortion, Image, Intrinsics, Lens, Pose};
 use super::matrix::{from_opengl, rigid_matrix};
-use super::{Capture, CaptureView};
+use super::{Capture, CaptureView, joined};
 use crate::{Error, Result};
 
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
@@ -37,14 +37,15 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Capture> {
             poses.sizeless.push(folder.join(name));
             continue;
         };
-        let lens = Lens { distortion: fields.distortion()?, intrinsics: fields.intrinsics(width, height)? };
-        poses.frames.push(CaptureView::new(name.into(), photo, lens, fields.pose()?, &fields.label)?);
+        let named = (name.to_owned(), photo);
+        let (lens, pose, view) = (fields.lens(width, height)?, fields.pose()?, fields.view()?);
+        poses.frames.extend(CaptureView::of_lens(named, lens, pose, view, &fields.label)?);
     }
     if let Some(place) = poses.sizeless.first() {
         let why = format!("no w and h, and no photo to take them from, such as {}", place.display());
         poses.warnings.push(format!("{} frames left out: {why}", poses.sizeless.len()));
     }
-    Ok(poses)
+    Ok(poses.warn_of_cut())
 }
 
 pub(super) fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
@@ -90,21 +91,40 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// Without `k5` and `k6`, nerfstudio's `k4` is the coefficient of r⁸.
-    fn distortion(&self) -> Parsed<Distortion> {
+    fn lens(&self, width: u32, height: u32) -> Parsed<Lens> {
+        let model = self.get("camera_model").and_then(Value::as_str).unwrap_or(PINHOLE);
+        if model == EQUIRECTANGULAR {
+            return Lens::equirectangular(width, height, &self.label).map_err(|error| error.to_string());
+        }
+        Ok(Lens { distortion: self.distortion(model)?, intrinsics: self.intrinsics(width, height)?, view: 0 })
+    }
+
+    /// View of a cut photo, if the frame is one.
+    fn view(&self) -> Parsed<Option<usize>> {
+        let Some(view) = self.frame.get(VIEW) else { return Ok(None) };
+        view.as_u64().map(|view| Some(view as usize)).ok_or_else(|| self.lacks(VIEW))
+    }
+
+    /// Except in `FULL_OPENCV`, `k4` is the coefficient of r⁸ without `k5` and `k6`, as in
+    /// nerfstudio.
+    fn distortion(&self, model: &str) -> Parsed<Distortion> {
         let k = |key: &str| Ok::<_, String>(self.number(key)?.unwrap_or(0.0));
         let [k1, k2, k3, k4] = [k("k1")?, k("k2")?, k("k3")?, k("k4")?];
-        let model = self.get("camera_model").and_then(Value::as_str).unwrap_or("PINHOLE");
         let fisheye = self.get("is_fisheye").and_then(Value::as_bool).unwrap_or(false);
-        if fisheye || model == "OPENCV_FISHEYE" {
+        if fisheye || FISHEYES.contains(&model) {
+            if ["k1", "k2", "k3", "k4"].iter().all(|key| self.get(key).is_none()) {
+                let expected = "k1 to k4, which are 0 for an ideal lens";
+                return Err(format!("{}, coefficients of a fisheye lens: found none, expected {expected}", self.label));
+            }
             return Ok(Distortion::Fisheye([k1, k2, k3, k4]));
         }
-        if model.contains("FISHEYE") || model.contains("EQUIRECTANGULAR") {
-            let expected = "a perspective camera or OPENCV_FISHEYE";
+        if ["FISHEYE", EQUIRECTANGULAR].iter().any(|name| model.contains(name)) {
+            let expected = format!("a perspective camera, {} or {EQUIRECTANGULAR}", FISHEYES.join(", "));
             return Err(format!("{}.camera_model: found {model}, expected {expected}", self.label));
         }
         let (k5, k6, tangential) = (k("k5")?, k("k6")?, [k("p1")?, k("p2")?]);
-        let (k4_above, k4_below) = if k5 == 0.0 && k6 == 0.0 { (k4, 0.0) } else { (0.0, k4) };
+        let is_above = model != FULL_OPENCV && k5 == 0.0 && k6 == 0.0;
+        let (k4_above, k4_below) = if is_above { (k4, 0.0) } else { (0.0, k4) };
         Ok(Distortion::Perspective { numerator: [k1, k2, k3, k4_above], denominator: [k4_below, k5, k6], tangential })
     }
 
@@ -162,25 +182,29 @@ pub fn write_frames_with(
     for (i, frame) in frames.iter().enumerate() {
         frame.camera.validate(&format!("camera {i}"))?;
     }
-    let lens = |frame: &CaptureView| (frame.camera.intrinsics, frame.lens);
-    let shared = frames.windows(2).all(|pair| lens(&pair[0]) == lens(&pair[1]));
+    let written = joined(frames);
+    let lens = |(frame, _): &(CaptureView, Option<usize>)| {
+        (frame.camera.intrinsics, frame.lens.map(|lens| Lens { view: 0, ..lens }))
+    };
+    let shared = written.windows(2).all(|pair| lens(&pair[0]) == lens(&pair[1]));
     let mut top = Map::from_iter([("generator".into(), json!("zipsplat"))]);
     top.extend(points.map(|points| ("ply_file_path".into(), json!(points))));
-    match frames {
-        [first, ..] if shared => top.extend(lens_fields(first)),
+    match &written[..] {
+        [(first, _), ..] if shared => top.extend(lens_fields(first)),
         [] => top.extend([("camera_model".into(), json!(PINHOLE))]),
         _ => {}
     }
-    let object = |(i, frame): (usize, &CaptureView)| {
+    let object = |(i, (frame, view)): (usize, &(CaptureView, Option<usize>))| {
         let mut object = Map::from_iter([("file_path".into(), json!(frame.name))]);
         object.insert("transform_matrix".into(), opengl_rows(&frame.camera.pose));
         if !shared {
             object.extend(lens_fields(frame));
         }
+        object.extend(view.map(|view| (VIEW.to_owned(), json!(view))));
         object.extend(fields.get(i).cloned().unwrap_or_default());
         Value::Object(object)
     };
-    top.insert("frames".into(), Value::Array(frames.iter().enumerate().map(object).collect()));
+    top.insert("frames".into(), Value::Array(written.iter().enumerate().map(object).collect()));
     write_atomic(path.as_ref(), |out| {
         serde_json::to_writer_pretty(&mut *out, &top)?;
         writeln!(out)
@@ -188,6 +212,11 @@ pub fn write_frames_with(
 }
 
 const PINHOLE: &str = "PINHOLE";
+const FULL_OPENCV: &str = "FULL_OPENCV";
+const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
+const FISHEYES: [&str; 3] = ["OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE"];
+/// Field of a frame that is one view of a photo of a wide lens.
+const VIEW: &str = "view";
 
 fn lens_fields(frame: &CaptureView) -> Map<String, Value> {
     let Some(lens) = &frame.lens else {
@@ -196,16 +225,17 @@ fn lens_fields(frame: &CaptureView) -> Map<String, Value> {
     };
     let mut fields = Map::from_iter(intrinsics_fields(&lens.intrinsics));
     let (model, coefficients) = match lens.distortion {
-        Distortion::Fisheye([k1, k2, k3, k4]) => {
-            ("OPENCV_FISHEYE", vec![("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4)])
-        }
+        Distortion::Equirectangular => (EQUIRECTANGULAR, Vec::new()),
+        Distortion::Fisheye([k1, k2, k3, k4]) => (FISHEYES[0], vec![("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4)]),
         Distortion::Perspective { numerator: [k1, k2, k3, above], denominator: [below, k5, k6], tangential } => {
             let radial = [("k1", k1), ("k2", k2), ("k3", k3), ("k4", above + below), ("k5", k5), ("k6", k6)];
-            ("OPENCV", radial.into_iter().chain([("p1", tangential[0]), ("p2", tangential[1])]).collect())
+            let is_full = [below, k5, k6].iter().any(|k| *k != 0.0);
+            let all = radial.into_iter().chain([("p1", tangential[0]), ("p2", tangential[1])]).collect();
+            (if is_full { FULL_OPENCV } else { "OPENCV" }, all)
         }
     };
-    let named = coefficients.into_iter().filter(|(_, value)| *value != 0.0);
-    fields.extend(named.map(|(name, value)| (name.to_owned(), json!(value))));
+    let is_written = |(name, value): &(&str, f64)| *value != 0.0 || *name == "k1" && model == FISHEYES[0];
+    fields.extend(coefficients.into_iter().filter(is_written).map(|(name, value)| (name.to_owned(), json!(value))));
     fields.insert("camera_model".into(), json!(model));
     fields
 }

@@ -4,6 +4,7 @@ use crate::{
     cameras::{ModelOption, path_from},
     depth::{CamerasFrom, PredictedViews, PredictorOptions},
     known_depth::{PHOTOS, VALUES},
+    masks::MaskArgs,
     options::ArithmeticOption,
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
     photos::{self, PhotoArgs},
@@ -25,6 +26,7 @@ use zipsplat::{
     Error, Image, Result,
     depth::{DepthMap, DepthOptions, DepthPrediction},
     types::{
+        MAX_VIEW_DEG,
         poses::{Capture, CaptureView, write_frames},
         write_atomic, write_points,
     },
@@ -95,8 +97,10 @@ impl Depth {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let checkpoint = open_depth(&self.weights, false)?;
         let place = self.output.join(CAMERAS);
-        let (files, mut folder) = self.input.list(session, self.views, Some((&place, self.overwrite)))?;
-        let files = photos::spread(files, self.views);
+        let (no_masks, named_in) = (MaskArgs::default(), Some((&*place, self.overwrite)));
+        let unposed = self.cameras.is_none().then_some(&no_masks);
+        let (files, mut folder) = self.input.list(session, self.views, unposed, named_in)?;
+        let files = photos::spread(files, self.views.filter(|_| unposed.is_none()));
         let known = self.known(&files)?;
         self.check(&files)?;
         let truth = self.ground_truth.as_deref().map(Truth::open).transpose()?;
@@ -180,7 +184,12 @@ impl Depth {
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<CaptureView>, Option<PathBuf>)>> {
         let Some(poses) = &self.cameras else { return Ok(None) };
         let poses = Capture::open(poses)?;
-        let frames = poses.frames_of(files)?.into_iter().zip(files);
+        let frames = poses.frames_of(files)?;
+        if let Some(wide) = frames.iter().find(|frame| poses.views_of(frame).len() > 1) {
+            let expected = format!("up to {MAX_VIEW_DEG} degrees; reconstruct and refine take wider ones");
+            return Err(Error::argument(format!("field of view of {}", wide.name), "a wider lens", expected));
+        }
+        let frames = frames.into_iter().zip(files);
         let frames = frames.map(|(frame, file)| CaptureView { photo: Some(file.clone()), ..frame.clone() }).collect();
         Ok(Some((frames, poses.points)))
     }

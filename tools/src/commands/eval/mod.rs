@@ -16,7 +16,7 @@ use crate::{
     metrics::LpipsOption,
     options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::Overwrite,
-    photos,
+    panorama, photos,
     protocol::Filter,
     refinement::RefineArgs,
     session::Session,
@@ -259,7 +259,7 @@ impl Eval {
     }
 
     fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
-        let (Size(width, height), views) = (seeing.size, seeing.crop.count(&choice.inputs())?);
+        let (Size(width, height), views) = (seeing.size, seeing.crop.count(&choice.inputs(), &choice.input_frames())?);
         let chosen = (self.quality.ratio, &self.quality.token_selection);
         let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?;
         shape.pooled(self.quality.kv_pool).map(drop)
@@ -268,6 +268,9 @@ impl Eval {
     fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<KnownCameras>> {
         let Some(path) = &self.cameras else { return Ok(None) };
         let photos = photos::list(session, std::slice::from_ref(folder))?;
+        if KnownCameras::to_find(path) {
+            panorama::refuse(&photos)?;
+        }
         let mut known = KnownCameras::of(session, path, &photos, &self.finding)?;
         // The camera file may lie elsewhere.
         for photo in photos::posed(session, photos, &known.poses)? {

@@ -1,6 +1,7 @@
 use super::Reconstruct;
 use crate::{
     cameras::{EstimatedCameras, Finder, KnownCameras, Place},
+    masks::MaskArgs,
     options::Network,
     photos,
     refinement::Initialization,
@@ -30,11 +31,17 @@ impl Reconstruct {
         self.finding.depth_weights.is_none() && finder.is_none_or(|finder| finder.is_some_and(by_network))
     }
 
+    /// Masks of photos whose cameras are not read from a file.
+    pub(super) fn unposed(&self) -> Option<&MaskArgs> {
+        let is_unposed = self.cameras.as_deref().is_none_or(KnownCameras::to_find);
+        is_unposed.then_some(&self.finding.search.masks)
+    }
+
     pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
         let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
-        let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
+        let unposed = self.unposed();
+        let (photos, mut frame_folder) = self.input.list(session, self.views, unposed, named_in)?;
         if self.finds(network) {
-            photos = photos::spread(photos, self.views);
             self.check_count(&photos)?;
         }
         let (poses, found) = match (network, &self.cameras) {
@@ -55,7 +62,8 @@ impl Reconstruct {
             Place(place).save(poses, found)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
-        let photos = photos::kept(session, photos, poses.as_ref(), self.views)?;
+        let views = self.views.filter(|_| unposed.is_none());
+        let photos = photos::kept(session, photos, poses.as_ref(), views)?;
         self.check_count(&photos)?;
         self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
         Ok(Captured { photos, poses, frame_folder, found })

@@ -56,11 +56,11 @@ impl Forward {
         checkpoint: &'a Checkpoint,
         posed: Posed<'a>,
     ) -> Result<Planned<'a>> {
-        let Posed { photos, poses, .. } = posed;
+        let Posed { photos, poses, frames } = posed;
         let (quality, crop) = (&command.quality, command.crop.crop);
         let size = quality.size_for(checkpoint);
         crop.check(size, poses.is_some())?;
-        let (views, chosen) = (crop.count(photos)?, (quality.ratio, &quality.token_selection));
+        let (views, chosen) = (crop.count(photos, frames)?, (quality.ratio, &quality.token_selection));
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, poses.is_some())?;
         let shape = shape.pooled(quality.kv_pool)?;
         session.notes(quality.doubt_size(checkpoint));

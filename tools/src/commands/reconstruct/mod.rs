@@ -113,7 +113,7 @@ pub struct Reconstruct {
     /// captures, or text files with a capture per line. The output is a folder. Run the command
     /// again to resume. Failures are rows of failures.csv and give exit code 1
     #[arg(long, help_heading = MANY, conflicts_with_all = ["refine", "cameras_out", "scene_scale", "world", "explain",
-        "pictures", "depth_weights", "recursive"])]
+        "pictures", "depth_weights", "recursive", "camera_model"])]
     each: bool,
     /// Format of the scenes of --each: ply, spz, splat, glb or gltf
     #[arg(long, help_heading = MANY, value_name = "NAME", default_value = "ply", requires = "each")]

@@ -26,14 +26,15 @@ const LARGEST: usize = 20;
 pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
     let (photos, _folder) = match command.input.photos[..] {
         [] => (Vec::new(), None),
-        _ => command.input.list(session, command.views, None)?,
+        _ => command.input.list(session, command.views, command.unposed(), None)?,
     };
-    let views = match (photos.len(), command.views.map(|views| views as usize)) {
+    let limit = command.views.filter(|_| photos.is_empty() || command.unposed().is_none());
+    let views = match (photos.len(), limit.map(|views| views as usize)) {
         (0, None) => return Err(Error::argument("photos", "none", "photos, or their number by --views")),
         (0, Some(views)) => views,
         (all, limit) => limit.unwrap_or(all).min(all),
     };
-    let photos = photos::spread(photos, command.views);
+    let photos = photos::spread(photos, limit);
     let network = command.weights.open_network()?;
     let posed = command.cameras.is_some() && !command.finds_by_itself(&network);
     match &network {
@@ -57,7 +58,7 @@ fn show_tokens(
     let Size(width, height) = size;
     let posed = command.cameras.is_some();
     crop.check(size, posed)?;
-    let seen = if photos.is_empty() { views } else { crop.count(photos)? };
+    let seen = if photos.is_empty() { views } else { crop.count(photos, &[])? };
     let chosen = (quality.ratio, &quality.token_selection);
     let shape = Shape::new(checkpoint.architecture(), seen, [width, height], chosen, posed)?;
     let shape = shape.pooled(quality.kv_pool)?;

@@ -178,7 +178,8 @@ class Capture(Sequence[CaptureView]):
     """Posed photos of a transforms.json (instant-ngp, nerfstudio) or COLMAP model.
 
     A sequence of views, accepted by Model.reconstruct and Scene.refine. Slices are captures. Photos
-    are read undistorted, ignoring the EXIF orientation.
+    are read undistorted, ignoring the EXIF orientation. Photos of lenses wider than 110 degrees
+    have several views, one after another and of one name.
 
     Attributes:
         warnings: Descriptions of ignored data.

@@ -16,8 +16,8 @@ use super::{Capture, CaptureView};
 use crate::{Error, Result};
 
 /// Models of [`Distortion`]: ID, name, number of parameters (`f, cx, cy` or `fx, fy, cx, cy`, then
-/// distortion).
-const MODELS: [(i32, &str, usize); 9] = [
+/// distortion; `w, h` of a 360-degree photo).
+const MODELS: [(i32, &str, usize); 12] = [
     (0, "SIMPLE_PINHOLE", 3),
     (1, "PINHOLE", 4),
     (2, "SIMPLE_RADIAL", 4),
@@ -27,8 +27,13 @@ const MODELS: [(i32, &str, usize); 9] = [
     (6, "FULL_OPENCV", 12),
     (8, "SIMPLE_RADIAL_FISHEYE", 4),
     (9, "RADIAL_FISHEYE", 5),
+    (14, "SIMPLE_FISHEYE", 3),
+    (15, "FISHEYE", 4),
+    (17, EQUIRECTANGULAR, 2),
 ];
-const ONE_FOCAL: [&str; 5] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"];
+const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
+const ONE_FOCAL: [&str; 6] =
+    ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE"];
 
 /// Bytes of a 2D point in `images.bin`: x and y as f64, and the 3D point's ID.
 const POINT_BYTES: u64 = 24;
@@ -63,9 +68,10 @@ pub(super) fn read(folder: &Path) -> Result<Capture> {
             fail(format!("image {:?} has camera {}, which {} lacks", view.name, view.camera_id, cameras.display()))
         })?;
         let (photo, label) = (find_photo(folder, &view.name), format!("image {:?}", view.name));
-        poses.frames.push(CaptureView::new(view.name, photo, lens, view.pose, &label).map_err(fail)?);
+        let frames = CaptureView::of_lens((view.name, photo), lens, view.pose, None, &label);
+        poses.frames.extend(frames.map_err(fail)?);
     }
-    Ok(poses)
+    Ok(poses.warn_of_cut())
 }
 
 pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
@@ -111,6 +117,9 @@ struct View {
 fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Result<Lens, String> {
     let side = |side: u64| u32::try_from(side).map_err(|_| format!("a side of {side} pixels"));
     let (width, height) = (side(width)?, side(height)?);
+    if model == EQUIRECTANGULAR {
+        return Lens::equirectangular(width, height, model).map_err(|error| error.to_string());
+    }
     let (fx, fy, rest) = match *params {
         [f, ref rest @ ..] if ONE_FOCAL.contains(&model) => (f, f, rest),
         [fx, fy, ref rest @ ..] => (fx, fy, rest),
@@ -129,7 +138,7 @@ fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Re
             tangential: [k(2), k(3)],
         },
     };
-    Ok(Lens { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distortion })
+    Ok(Lens { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distortion, view: 0 })
 }
 
 /// Converts a world-to-camera quaternion wxyz and translation.

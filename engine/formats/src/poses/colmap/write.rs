@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use super::super::CaptureView;
+use super::super::{CaptureView, joined};
 use crate::{Distortion, Error, Intrinsics, Result, file::write_atomic, quaternion_from_matrix};
 
 /// First line of files that may be replaced.
@@ -15,12 +15,21 @@ pub fn colmap_files(folder: impl AsRef<Path>) -> [PathBuf; 3] {
 /// Without matches, points have no tracks and images no 2D points.
 ///
 /// # Errors
-/// [`Error::Argument`] for a name with spaces, or a lens without a COLMAP model.
+/// [`Error::Argument`] for a name with spaces, a lens without a COLMAP model, or views of a wide
+/// lens that moved apart.
 pub fn write_colmap(folder: impl AsRef<Path>, frames: &[CaptureView], points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut lenses: Vec<String> = Vec::new();
     let mut images = format!("{MADE_BY}# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of its points\n");
-    for (i, frame) in frames.iter().enumerate() {
+    for (i, (frame, view)) in joined(frames).iter().enumerate() {
         frame.camera.validate(&format!("camera {i}"))?;
+        if let Some(view) = view {
+            let expected = "all of its views as they were cut; a transforms.json has others";
+            return Err(Error::argument(
+                format!("lens of {} for COLMAP", frame.name),
+                format!("view {view}"),
+                expected,
+            ));
+        }
         if frame.name.is_empty() || frame.name.contains(char::is_whitespace) {
             return Err(Error::argument(
                 "name of a photo for COLMAP",
@@ -53,6 +62,7 @@ fn camera(frame: &CaptureView) -> Result<String> {
         frame.lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);
     let (model, coefficients) = match frame.lens.map(|lens| lens.distortion) {
         None => ("PINHOLE", Vec::new()),
+        Some(Distortion::Equirectangular) => return Ok(format!("EQUIRECTANGULAR {width} {height} {width} {height}")),
         Some(Distortion::Fisheye(k)) => ("OPENCV_FISHEYE", k.to_vec()),
         Some(Distortion::Perspective { numerator: [k1, k2, k3, above], denominator, tangential: [p1, p2] }) => {
             if above != 0.0 {

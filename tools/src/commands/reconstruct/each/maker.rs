@@ -93,8 +93,11 @@ impl<'a> Maker<'a> {
         match self {
             Self::Tokens { size, .. } => {
                 let crop = batch.crop();
-                crop.count(photos)?;
-                let views = crop.load(photos, frames, masks, *size, stage)?;
+                crop.count(photos, frames)?;
+                let mut views = crop.load(photos, frames, masks, *size, stage)?;
+                let notes: Vec<String> =
+                    poses.iter().flat_map(|poses| &poses.warnings).cloned().chain(views.note.take()).collect();
+                views.note = (!notes.is_empty()).then(|| notes.join("; "));
                 let unit = match (poses, frames.first()) {
                     (Some(poses), Some(first)) => poses.scene_scale(None, &views.cameras, &first.camera.pose)?.length,
                     _ => 1.0,

@@ -4,7 +4,7 @@ use super::{CAPTURE, Reconstruct};
 use crate::{
     options::{Network, Quality},
     outputs::{self, FAILURES, Failure},
-    photos,
+    panorama, photos,
     session::{Session, Stage},
     stamp::{digest, hash_of_weights, stamp},
     table::{counted, time},
@@ -250,10 +250,17 @@ impl Runner<'_> {
     fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
         let poses = if self.batch.posed { Some(Capture::open(&work.folder)?) } else { None };
         let photos = match &poses {
-            Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
-            None => photos_of(&work.folder)?,
+            Some(poses) => {
+                let first = poses.frames.iter().filter(|frame| !frame.is_later_view());
+                let photos = first.filter_map(|frame| frame.photo.clone()).collect();
+                poses.per_view(photos::spread(photos, self.batch.command.views))?
+            }
+            None => {
+                let photos = photos::spread(photos_of(&work.folder)?, self.batch.command.views);
+                panorama::refuse(&photos)?;
+                photos
+            }
         };
-        let photos = photos::spread(photos, self.batch.command.views);
         if !(1..=MAX_VIEWS).contains(&photos.len()) {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument(format!("photos in {}", work.folder.display()), photos.len(), expected));
