@@ -99,7 +99,21 @@ impl ValueFiles {
     }
 }
 
-/// Returns a network's patch tokens of at most `views` photos, evenly spaced, and the cameras of
+/// Gives each channel mean 0 and standard deviation 1. Otherwise few channels decide all cosines.
+fn standardize(views: &mut [PixelValues]) {
+    let channels = views.first().map_or(0, |view| view.channels);
+    let count = views.iter().map(|view| view.values.len()).sum::<usize>() as f64 / channels.max(1) as f64;
+    for channel in 0..channels {
+        let values = || views.iter().flat_map(|view| view.values[channel..].iter().step_by(channels));
+        let mean = values().map(|value| f64::from(*value)).sum::<f64>() / count;
+        let variance = values().map(|value| (f64::from(*value) - mean).powi(2)).sum::<f64>() / count;
+        let scale = variance.sqrt().max(f64::MIN_POSITIVE);
+        let all = views.iter_mut().flat_map(|view| view.values[channel..].iter_mut().step_by(channels));
+        all.for_each(|value| *value = ((f64::from(*value) - mean) / scale) as f32);
+    }
+}
+
+/// Returns a network's patch tokens, standardized by channel, of at most `views` photos, evenly spaced, and the cameras of
 /// what it sees of them.
 pub fn of_network(
     session: &mut Session<'_>,
@@ -127,7 +141,9 @@ pub fn of_network(
     })?;
     let first = frames[0].camera.pose;
     let here = |camera: Camera| Camera { pose: first.compose(&camera.pose), ..camera };
-    Ok((seen.cameras.into_iter().map(|camera| to_scene.apply(&here(camera))).collect(), features.patch_tokens()?))
+    let mut tokens = features.patch_tokens()?;
+    standardize(&mut tokens);
+    Ok((seen.cameras.into_iter().map(|camera| to_scene.apply(&here(camera))).collect(), tokens))
 }
 
 /// Reads `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or labels as

@@ -17,7 +17,7 @@ use zipsplat::{
 /// Lift values of photos' pixels to Gaussians: features, masks or labels
 ///
 /// Without VALUES these are the patch tokens of a network's last layer, of the built-in model or
-/// --weights.
+/// --weights, with mean 0 and standard deviation 1 per channel.
 ///
 /// A Gaussian gets the mean of all pixels' values, weighted by its blending weights. Writes
 /// safetensors: features [rows, channels], weights [rows] in pixels, and the scene's hash.
