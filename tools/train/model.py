@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from layers import Block, CrossBlock, Mlp, PatchEmbed, SwiGlu, rope_table
+from layers import Block, CrossBlock, Mlp, PatchEmbed, Recomputed, SwiGlu, rope_table
 
 BACKBONE_EPS = 1e-6
 
@@ -199,10 +199,11 @@ def activate(raw, sh_degree):
 class ZipSplat(nn.Module):
     """The network. `queries` > 0 uses learned queries instead of scene tokens, as C3G (2025) does.
 
-    Learned queries are for comparison in training; the engine does not support them.
+    Learned queries are for comparison in training; the engine does not support them. `recompute`
+    trades the blocks' activations for a second forward pass.
     """
 
-    def __init__(self, architecture, queries=0):
+    def __init__(self, architecture, queries=0, recompute=False):
         super().__init__()
         a = self.architecture = architecture
         layers = range(len(a.out_layers))
@@ -220,6 +221,9 @@ class ZipSplat(nn.Module):
         self.queries, self.color_queries = (
             nn.Parameter(torch.zeros(1, queries, width)) if queries else None for width in (a.width, a.color_width)
         )
+        for module in self.modules():
+            if isinstance(module, Recomputed):
+                module.recompute = recompute
 
     def prepare(self, images, priors=None, given=None, taps=None):
         """[B, V, 3, H, W] in 0..1 -> layer tokens [B, V * T, D], deepest first, and color tokens.
