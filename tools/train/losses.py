@@ -4,7 +4,6 @@ import math
 
 import torch
 import torch.nn.functional as F
-from safetensors.torch import load_file
 from torch import nn
 
 from initialize import SH0
@@ -38,17 +37,26 @@ def gradient_difference(a, b, scales=3):
 class Lpips(nn.Module):
     """LPIPS 0.1 by VGG16 (Zhang et al. 2018), differentiable in the first picture."""
 
+    CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
     # Convolutions after a pooling. Features are compared before each pooling and at the end.
     POOLED = (2, 4, 7, 10)
     SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
-    def __init__(self, path):
+    def __init__(self, tensors):
         super().__init__()
-        for name, value in load_file(path).items():
+        for name, value in tensors.items():
             value = value.movedim(-1, 1).contiguous() if name.endswith("weight") and value.ndim == 4 else value
             self.register_buffer(name.replace(".", "_"), value, persistent=False)
         for name in ("SHIFT", "SCALE"):
             self.register_buffer(name.lower(), torch.tensor(getattr(self, name))[:, None, None], persistent=False)
+
+    @classmethod
+    def shapes(cls):
+        """Returns {name: shape} of the file by tools/lpips.py."""
+        shapes = {}
+        for i, (inputs, outputs) in enumerate(zip((3, *cls.CHANNELS), cls.CHANNELS)):
+            shapes |= {f"convolutions.{i}.weight": (outputs, 3, 3, inputs), f"convolutions.{i}.bias": (outputs,)}
+        return shapes | {f"taps.{tap}.weight": (cls.CHANNELS[i - 1],) for tap, i in enumerate((*cls.POOLED, 13))}
 
     def forward(self, a, b):
         """Mean distance of pairs of [N, 3, H, W], clipped to 0..1."""

@@ -27,9 +27,12 @@ from pathlib import Path
 
 import torch
 import torch.distributed as dist
+from safetensors.torch import load_file
 
 import backbone
 import losses
+import paper
+import plan
 
 
 import weights as files
@@ -78,7 +81,7 @@ class Trainer:
         self.optimizer = Optimizer(self.model, config)
         if state:
             self.optimizer.load_state_dict(state["optimizer"])
-        self.objective = Objective(config, losses.Lpips(args.lpips).to(self.device) if args.lpips else None)
+        self.objective = Objective(config, losses.Lpips(load_file(args.lpips)).to(self.device) if args.lpips else None)
         if config["compile"]:
             self.compile()
         self.schedule = Schedule(config)
