@@ -121,8 +121,9 @@ def two_processes_learn_as_one_does():
         for launcher, name in (([], "one"), (["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"], "two")):
             subprocess.run([sys.executable, *launcher, __file__, f"{folder}/{name}"], env=environment, check=True)
         one, two = (torch.load(f"{folder}/{name}", weights_only=True) for name in ("one", "two"))
-    # Muon iterates in bf16.
-    for muon, limit in ((False, 1e-3), (True, 2e-2)):
+    # Relative limits of losses and of gradient norms, which amplify rounding. Muon iterates in bf16.
+    limits = {False: torch.tensor([1e-3, 1e-2]), True: torch.tensor([2e-2, 1e-1])}
+    for muon, limit in limits.items():
         losses, others = (torch.tensor(found[muon]["losses"]) for found in (one, two))
         assert losses[0, 0] > losses[-1, 0], losses
         assert ((losses - others).abs() < limit * losses).all(), (muon, losses, others)
@@ -132,7 +133,7 @@ def two_processes_learn_as_one_does():
     torch.manual_seed(1)
     resumed, _, _ = train(config, scenes(), torch.arange(SCENES) % 3 == 0, data["state"])
     resumed, expected = torch.tensor(resumed), torch.tensor(data["losses"][STEPS:])
-    assert ((resumed - expected).abs() < 1e-3 * expected).all(), (resumed, expected)
+    assert ((resumed - expected).abs() < limits[False] * expected).all(), (resumed, expected)
 
 
 TESTS = (gradients_do_not_depend_on_recomputation_or_parts, two_processes_learn_as_one_does)
