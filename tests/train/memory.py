@@ -63,6 +63,15 @@ def the_plan_is_what_a_step_takes():
     assert totals[0] < 0.8 * totals[1], f"found {totals[0]} GiB with recomputation, expected much less than {totals[1]}"
 
 
+def the_published_training_fits_one_gpu_of_80_gb():
+    planned = plan.report(read_config(TRAIN / "paper.json"))
+    print(planned)
+    assert planned.startswith("1,447,701,472 parameters") and float(planned.split()[-3]) * plan.GIB < 72e9, planned
+
+
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    measure() if sys.argv[1:] == ["measure"] else the_plan_is_what_a_step_takes()
+    if sys.argv[1:] == ["measure"]:
+        sys.exit(measure())
+    the_plan_is_what_a_step_takes()
+    the_published_training_fits_one_gpu_of_80_gb()

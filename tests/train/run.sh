@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Tests tools/train: training, growing, captures, settings and renderers. Installs PyTorch for CPUs
+# Tests tools/train: training, growing, captures, settings, steps, memory and renderers. Installs PyTorch for CPUs
 # into the cache the first time; where pip cannot reach it, says so and tests nothing.
 # usage: tests/train/run.sh
 #   PYTHON            interpreter with PyTorch, safetensors and numba; default the cache's
@@ -30,4 +30,6 @@ goldens=${ZIPSPLAT_GOLDENS:-$root/../shared/golden/data}
 [[ -d $goldens ]] || goldens=$root/tests/data
 [[ ! -e $goldens/da3_tiny.v2.safetensors ]] || "$PYTHON" "$here/settings.py" "$goldens"
 "$PYTHON" "$here/rasterize.py" "$goldens"
+"$PYTHON" "$here/steps.py"
+"$PYTHON" "$here/memory.py"
 "$here/smoke.sh" "${ZIPSPLAT_COMMAND:-$root/tools/zipsplat}"
