@@ -24,12 +24,13 @@ import losses
 import paper
 import rasterize
 from check import paper as architecture
+from check import vggt_architecture
 from initialize import initialize
 from model import ZipSplat
 from optimizer import Optimizer
 from schedule import Schedule, read_config, validate
 from steps import scenes
-from weights import seeded
+from weights import Architecture, seeded
 
 GOLDENS = Path(sys.argv[1])
 POCKET, PAPER = (read_config(TRAIN / f"{name}.json") for name in ("pocket", "paper"))
@@ -168,6 +169,36 @@ def a_released_backbone_sees_what_its_own_network_sees():
         refused(lambda: backbone.take_over(model, path), "found no backbone")
 
 
+def vggt_starts_from_its_release_and_learns():
+    """The golden weights have the released layout."""
+    path = GOLDENS / "vggt_micro.weights.safetensors"
+    model = initialize(ZipSplat(vggt_architecture("vggt_micro")), (1, 1), colors=False)
+    backbone.take_over(model, path)
+    golden = load_file(GOLDENS / "vggt_micro.v3.safetensors")
+    images = (golden["in/images_u8"].double() / 255)[None]
+    with torch.no_grad():
+        features = model.double().backbone(images, None, None, {})
+    for j, feature in ((0, features[0]), (1, features[1]), (3, features[2])):
+        truth = golden[f"agg/feat{j}"][:, 5:].double()
+        error = (torch.cat(feature, -1)[0] - truth).abs().max() / truth.square().mean().sqrt()
+        assert error < 1e-5, (j, error)
+    model.float()(torch.rand(1, 2, 3, 42, 42))[0].square().mean().backward()
+    still = [name for name, p in model.named_parameters() if p.grad is None or not p.grad.abs().max() > 0]
+    assert not still, f"found no gradient of {still}"
+    refused(lambda: backbone.take_over(small(), path), "backbone.aggregator.camera_token is unexpected")
+    refused(lambda: read_config(TRAIN / "vggt.json", ["priors=0.2"]), "priors", "0.2", "VGGT")
+    with torch.device("meta"):
+        large = ZipSplat(Architecture.from_json(json.dumps(read_config(TRAIN / "vggt.json")["architecture"])))
+    released = {}
+    for name, shape in json.loads((GOLDENS / "vggt_1b.keys.json").read_text())["params"].items():
+        count, shape = shape if "{}" in name else (1, shape)
+        released |= {name.replace("{}", str(i)): shape for i in range(count) if name.startswith("aggregator.")}
+    del released["aggregator.patch_embed.mask_token"]
+    found = {name.removeprefix("backbone."): list(p.shape) for name, p in large.named_parameters() if name.startswith("backbone.")}
+    differing = [name for name in found.keys() | released.keys() if found.get(name) != released.get(name)]
+    assert not differing, differing
+
+
 def lpips_is_the_authors():
     golden = load_file(GOLDENS / "lpips.safetensors")
     home = Path(os.environ.get("ZIPSPLAT_CACHE") or Path.home() / ".cache" / "zipsplat") / "lpips_vgg.safetensors"
@@ -248,6 +279,7 @@ TESTS = (
     presets_have_the_published_settings,
     geometric_losses_are_as_written,
     a_released_backbone_sees_what_its_own_network_sees,
+    vggt_starts_from_its_release_and_learns,
     lpips_is_the_authors,
     contradictions_are_refused_by_name,
     a_schedule_follows_the_share_that_is_done,

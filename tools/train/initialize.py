@@ -28,13 +28,14 @@ def initialize(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, cou
             std = parameter[0].numel() ** -0.5
             residual = name.endswith((".attn.proj.weight", ".mlp.fc2.weight", ".mlp.w3.weight"))
             nn.init.trunc_normal_(parameter, std=std / math.sqrt(2 * a.depth) if residual else std)
-    vit = model.backbone.backbone
+    vit = model.backbone.embedding()
     # Maps 0..1 to zero mean and unit contrast.
     for conv in (vit.patch_embed.proj, model.color_embed.proj):
         conv.weight.mul_(3)
         conv.bias.copy_(-0.5 * conv.weight.sum((1, 2, 3)))
     nn.init.normal_(vit.cls_token, std=0.02)
-    nn.init.normal_(vit.camera_token, std=0.5)
+    if a.family == "da3":
+        nn.init.normal_(vit.camera_token, std=0.5)
     vit.pos_embed.zero_()
     vit.pos_embed[0, 1:] = 0.5 * wave_grid(a.position_grid, a.width)
 

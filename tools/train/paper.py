@@ -2,6 +2,7 @@
 
 # Setting: (value, section). "A" is appendix A. Where text and released network differ, the network.
 PAPER = {
+    "architecture.family": ("da3", "4.1"),
     "architecture.width": (1536, "A"),
     "architecture.depth": (40, "A"),
     "architecture.heads": (24, "A"),

@@ -56,6 +56,9 @@ def validate(config):
     for name in ("backbone_rate", "aggregator_rate"):
         rate = config[name]
         expect(name, rate, isinstance(rate, int | float) and 0 <= rate <= 1, "a share of the learning rate, 0 to 1")
+    if a["family"] == "vggt":
+        expect("priors", config["priors"], config["priors"] == 0, "0, since VGGT has no known cameras as input")
+    expect("architecture.family", a["family"], a["family"] in ("da3", "vggt"), "da3 or vggt")
     for name in ("progressive", "ratio_step"):
         expect(name, config[name], 0 <= float(config[name]) <= 1, "a fraction, 0 to 1")
     scenes, views = config["batch_scenes"], config["batch_views"]
