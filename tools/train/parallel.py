@@ -4,6 +4,7 @@ import os
 
 import torch
 import torch.distributed as dist
+from torch.distributed.device_mesh import init_device_mesh
 from torch.distributed.fsdp import fully_shard
 from torch.distributed.tensor import DTensor, distribute_tensor
 
@@ -27,13 +28,19 @@ def device_of_process():
     return device
 
 
-def shard(model):
-    """Splits parameters, gradients and optimizer state among the processes, block by block."""
+def distribute(model, split=True):
+    """Splits parameters, gradients and optimizer state among the processes, block by block.
+
+    Without `split` each process has all of them, and Muon no communication.
+    """
     if dist.is_initialized():
+        kind, shape = next(model.parameters()).device.type, (1, dist.get_world_size())
+        mesh = init_device_mesh(kind, shape if split else shape[::-1], mesh_dim_names=("replicas", "shards"))
         for module in model.modules():
             if isinstance(module, Recomputed):
-                fully_shard(module)
-        fully_shard(model)
+                fully_shard(module, mesh=mesh)
+        # By default, the outermost module would keep whole weights after an evaluation.
+        fully_shard(model, mesh=mesh, reshard_after_forward=True)
     return model
 
 

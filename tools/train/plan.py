@@ -104,17 +104,18 @@ def report(config, gpus=1):
     count = sum(p.numel() for p in model.parameters())
     blocks = [sum(p.numel() for p in m.parameters()) for m in model.modules() if isinstance(m, Recomputed)]
     # FSDP holds two blocks and the parameters outside blocks, with gradients.
-    whole = 2 * (2 * max(blocks) + count - sum(blocks)) if gpus > 1 else 0
+    parts = gpus if config["shard"] else 1
+    whole = 2 * (2 * max(blocks) + count - sum(blocks)) if parts > 1 else 0
     size, views = config["size"], config["record_views"]
     scene = record(views, size, size).itemsize
     pool = config["scenes"] * scene or config["pool_gb"] * 1e9 / gpus
     batch = max((config["batch_scenes"] or config["batch_views"] // views) // gpus for views in config["views"])
     pictures = max(config["views"][1] + config["targets"], 1) * 3 * 4 * size**2
     rows = {
-        "weights": 4 * count / gpus,
-        "gradients": 4 * count / gpus,
-        "optimizer": 8 * count / gpus,
-        "average of weights": 4 * count / gpus if config["ema"] else 0,
+        "weights": 4 * count / parts,
+        "gradients": 4 * count / parts,
+        "optimizer": 8 * count / parts,
+        "average of weights": 4 * count / parts if config["ema"] else 0,
         "unsharded weights and gradients": 4 * whole,
         "pool of scenes": pool,
         f"batch of {batch} scenes": batch * (scene + pictures),

@@ -70,7 +70,8 @@ def validate(config):
     gap = config["gap"]
     ordered = isinstance(gap, list) and len(gap) == 2 and 1 <= gap[0] <= gap[1]
     expect("gap", gap, ordered, "the least and the largest number of neighboring frames that a scene's views are of")
-    expect("muon", config["muon"], isinstance(config["muon"], bool), "true, or false for AdamW alone")
+    for name in ("muon", "robust", "recompute", "shard", "bf16", "compile"):
+        expect(name, config[name], isinstance(config[name], bool), "true or false")
     expect("queries", queries, isinstance(queries, int) and queries >= 0, "a number of learned queries, 0 for tokens of the scene")
     if queries:
         for name in ("anchor", "ray", "color"):

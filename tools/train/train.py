@@ -44,7 +44,7 @@ from initialize import initialize
 from model import ZipSplat
 from objective import Objective
 from optimizer import Optimizer
-from parallel import device_of_process, full_state, rank_and_processes, shard
+from parallel import device_of_process, distribute, full_state, rank_and_processes
 from schedule import Schedule, read_config
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,8 +76,8 @@ class Trainer:
         average = copy.deepcopy(model).eval().requires_grad_(False) if config["ema"] else model
         if state and config["ema"]:
             average.load_state_dict(state["average"])
-        self.model = shard(model)
-        self.average = shard(average) if config["ema"] else model
+        self.model = distribute(model, config["shard"])
+        self.average = distribute(average, config["shard"]) if config["ema"] else model
         self.optimizer = Optimizer(self.model, config)
         if state:
             self.optimizer.load_state_dict(state["optimizer"])
