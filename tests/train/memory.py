@@ -32,7 +32,7 @@ TINY = ("size=28", "architecture.depth=6", "architecture.out_layers=[3,5]", "bat
 
 
 def step(config):
-    """Two steps on zero pictures, the second with accumulated gradients; returns the peak in bytes."""
+    """Two steps on zero pictures, the second with summed gradients; returns the peak in bytes."""
     model = ZipSplat(Architecture.from_json(json.dumps(config["architecture"])), 0, config["recompute"])
     optimizer, objective = Optimizer(model, config), Objective(config)
     data = plan.batch_of(config, config["batch_scenes"], config["views"][0])

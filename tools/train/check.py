@@ -52,7 +52,7 @@ DEPTH = """{"name": "da3_tiny", "features": 32, "channels": [16, 24, 32, 48], "b
 DEPTH_GOLDENS = {"v1": 0, "v2": 0, "v3": 1}
 
 
-# Tiny aggregators of VGGT by width, heads, blocks of the embedding, pairs, side of the position grid;
+# Tiny aggregators of VGGT: width, heads, blocks of the embedding, pairs, side of the position grid;
 # pairs with features; cases.
 VGGT = {
     "vggt_tiny": ((64, 2, 3, 5, 37), (1, 2, 3, 4), ("v1", "v2", "v3")),

@@ -156,7 +156,7 @@ class Backbone(nn.Module):
         return self.backbone if hasattr(self, "backbone") else self.aggregator.patch_embed
 
     def forward(self, images, priors, given, taps):
-        """Returns (local, global) patch tokens [B, V, T, D] by layer. VGGT has no use for priors."""
+        """Returns (local, global) patch tokens [B, V, T, D] by layer; VGGT ignores priors."""
         if hasattr(self, "aggregator"):
             return self.aggregator(images, taps)
         vit, camera_tokens = self.backbone, None

@@ -1,6 +1,6 @@
 """The published training, setting by setting: ZipSplat, arXiv 2606.05102."""
 
-# Setting: (value, section). "A" is appendix A. Where text and released network differ, the network.
+# Setting: (value, section). "A" is appendix A. Where text and reference code differ, the code.
 PAPER = {
     "architecture.family": ("da3", "4.1"),
     "architecture.width": (1536, "A"),

@@ -21,7 +21,7 @@ def read_config(path, changes=()):
 
 
 def read_preset(path):
-    """Returns the settings of a file; those that it omits come from the file named by its `base`."""
+    """Returns the settings of a file and, where it omits some, of the file named by its `base`."""
     path = Path(path)
     own = json.loads(path.read_text())
     if "base" not in own:

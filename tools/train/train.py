@@ -90,7 +90,7 @@ class Trainer:
         torch.manual_seed(config["seed"] + self.rank)
 
         self.shards = self.stream(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"])
-        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.processes / self.shards.record.itemsize)
+        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.shards.record.itemsize)
         self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
         self.evaluated = self.pool
         if not 0 < config["scenes"] <= SCENES:

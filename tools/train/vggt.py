@@ -65,7 +65,7 @@ class Aggregator(nn.Module):
         self.frame_blocks, self.global_blocks = (blocks(a, pairs, True, EPS) for _ in range(2))
 
     def forward(self, images, taps):
-        """[B, V, 3, H, W] in 0..1 -> for each of `out_layers`: (local, global) patch tokens [B, V, T, D]."""
+        """[B, V, 3, H, W] in 0..1 -> (local, global) patch tokens [B, V, T, D] of `out_layers`."""
         a = self.architecture
         b, v = images.shape[:2]
         rows, columns = (side // a.patch for side in images.shape[-2:])
