@@ -1,7 +1,7 @@
 """Trains variants of one network from the same backbone on the same scenes and prints the table.
 
-    python tools/train/ablate.py --config tools/train/da3s.json --backbone da3-small/model.safetensors \\
-        --data re10k:RE10K/train --depths DEPTHS --lpips LPIPS --out DIR
+    python tools/train/ablate.py --config tools/train/da3s.json --out DIR --lpips FILE \\
+        --backbone da3-small/model.safetensors --data re10k:RE10K/train --depths DEPTHS
 
 The rows follow the paper's tables 4b and 4c. Finished runs are skipped. Options that are not listed
 go to train.py.

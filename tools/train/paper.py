@@ -53,7 +53,9 @@ PAPER = {
 }
 # The ablations of tables 4b and 4c (section 4.5).
 ABLATIONS = {**PAPER, "views": ([2, 2], "4.5"), "steps": (115_000, "4.5")}
-SMALL_NETWORK = {"width": 384, "depth": 12, "heads": 6, "out_layers": [5, 7, 11], "fusion_heads": 6, "fusion_hidden": 1536, "head_hidden": 1024}
+SMALL_NETWORK = {
+    "width": 384, "depth": 12, "heads": 6, "out_layers": [5, 7, 11], "fusion_heads": 6, "fusion_hidden": 1536, "head_hidden": 1024,
+}  # fmt: skip
 ABLATIONS |= {f"architecture.{name}": (value, "4.5, DA3-S") for name, value in SMALL_NETWORK.items()}
 
 # Statements that no setting expresses, and their place.

@@ -66,7 +66,7 @@ class Trainer:
         self.step = self.samples = self.first_seed = self.steps_before = 0
         self.elapsed = self.seconds_before = 0.0
         self.log = []
-        self.stopped = False
+        self.asked_to_stop = self.stopped = False
         signal.signal(signal.SIGTERM, self.stop)
 
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
@@ -115,7 +115,7 @@ class Trainer:
 
     def stop(self, *_):
         """Ends the run after the current step, then saves."""
-        self.stopped = True
+        self.asked_to_stop = True
 
     def begin(self, model):
         """Initializes weights or loads --resume; returns the state of a resumed run."""
@@ -185,8 +185,8 @@ class Trainer:
         return measured
 
     def synchronize(self):
-        """Adopts the first process's clock; stops all if one stops."""
-        self.elapsed = time.perf_counter() - self.started
+        """Adopts the first process's clock; stops all if one is asked to."""
+        self.elapsed, self.stopped = time.perf_counter() - self.started, self.asked_to_stop
         if self.processes > 1:
             state = torch.tensor([self.elapsed if self.rank == 0 else 0.0, float(self.stopped)], device=self.device)
             dist.all_reduce(state)
