@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tests tools/train: training, growing, captures, settings and renderers. Installs PyTorch for CPUs
-# into the cache the first time; where pip cannot reach it, says so and tests nothing.
+# Tests tools/train: training, growing, captures, settings, steps, memory and renderers. Installs
+# PyTorch into the cache the first time; where pip cannot reach it, says so and tests nothing.
 # usage: tests/train/run.sh
 #   PYTHON            interpreter with PyTorch, safetensors and numba; default the cache's
 #   ZIPSPLAT_COMMAND  the command zipsplat; default the checkout's, which is built
@@ -17,12 +17,12 @@ if [[ -z ${PYTHON:-} ]]; then
   PYTHON=$environment/bin/python
   if [[ ! -x $PYTHON ]]; then
     python3 -m venv "$environment"
-    # PyPI's own build needs 5 GB for CUDA's libraries.
+    # The default registry's PyTorch includes CUDA, 5.7 GB.
     { { "$PYTHON" -m pip install -q --retries 1 torch --index-url https://download.pytorch.org/whl/cpu ||
       "$PYTHON" -m pip install -q torch; } &&
       "$PYTHON" -m pip install -q safetensors matplotlib pillow numba 'numpy<2.4'; } || {
       rm -r "$environment"
-      echo "skipped: the tests of training need PyTorch for CPUs, which pip does not reach" >&2
+      echo "skipped: the tests of training need PyTorch, which pip does not reach" >&2
       exit 0
     }
   fi
@@ -30,6 +30,11 @@ fi
 export PYTHON
 goldens=${ZIPSPLAT_GOLDENS:-$root/../shared/golden/data}
 [[ -d $goldens ]] || goldens=$root/tests/data
-[[ ! -e $goldens/da3_tiny.v2.safetensors ]] || "$PYTHON" "$here/settings.py" "$goldens"
+if [[ -e $goldens/da3_tiny.v2.safetensors ]]; then
+  "$PYTHON" "$root/tools/train/check.py" goldens "$goldens"
+  "$PYTHON" "$here/settings.py" "$goldens"
+fi
 "$PYTHON" "$here/rasterize.py" "$goldens"
+"$PYTHON" "$here/steps.py"
+"$PYTHON" "$here/memory.py"
 "$here/smoke.sh" "${ZIPSPLAT_COMMAND:-$root/tools/zipsplat}"

@@ -35,21 +35,42 @@ assert fine > coarse - 2.5, f"found {fine} dB with more Gaussians, expected abou
 END
 
 "$python" "$root/tests/train/captures.py" "$zipsplat" "$out/sets"
-"$python" - "$out/model.safetensors" "$out/release.safetensors" <<'END'
-import sys
+"$python" - "$out" "$root/tools/train" <<'END'
+import json, sys
+import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
+out, train = sys.argv[1:]
+sys.path.insert(0, train)
+from losses import Lpips
 released = {"backbone.backbone.": "model.backbone.pretrained.", "backbone.cam_enc.": "model.cam_enc."}
-save_file({theirs + name.removeprefix(ours): value for name, value in load_file(sys.argv[1]).items()
-           for ours, theirs in released.items() if name.startswith(ours)}, sys.argv[2])
+save_file({theirs + name.removeprefix(ours): value for name, value in load_file(f"{out}/model.safetensors").items()
+           for ours, theirs in released.items() if name.startswith(ours)}, f"{out}/release.safetensors")
+save_file({name: torch.rand(shape) / 1000 for name, shape in Lpips.shapes().items()}, f"{out}/lpips.safetensors")
+architecture = json.loads(safe_open(f"{out}/model.safetensors", "np").metadata()["zipsplat.architecture"])
+small = {"size": 56, "views": [2, 2], "targets": 2, "record_views": 4, "gap": [6, 8], "evaluate": [2, 2], "batch_scenes": 4,
+         "views_at_once": 2, "scenes": 17}
+json.dump({"base": f"{train}/paper.json", "architecture": architecture, **small}, open(f"{out}/paper.json", "w"))
+fusion = {name: architecture[name] for name in architecture if name.startswith(("color_", "fusion_", "width", "heads", "ffn_", "head_"))}
+vggt = {**fusion, "depth": 8, "alt_start": 2, "qk_norm_start": 2, "rope_start": 2, "out_layers": [3, 5, 7]}
+json.dump({"base": f"{train}/vggt.json", "architecture": vggt, **small}, open(f"{out}/vggt.json", "w"))
 END
-"$python" "$root/tools/train/train.py" --config "$root/tools/train/pocket.json" --out "$out/photos" --steps 4 \
-    --data "re10k:$out/sets/re10k" --data "dl3dv:$out/sets/dl3dv" --backbone "$out/release.safetensors" \
-    --set muon=false --set backbone_rate=0.1 --set record_views=4 --set 'gap=[6,8]' --set size=56 --set 'views=[2,2]' \
-    --set 'evaluate=[2,2]' --set batch_views=4 --set scenes=17 --set geometry_until=0
+photos=(train.py --config "$out/paper.json" --out "$out/photos" --data "re10k:$out/sets/re10k" --data "dl3dv:$out/sets/dl3dv"
+  --backbone "$out/release.safetensors" --lpips "$out/lpips.safetensors")
+(cd "$root/tools/train" && CUDA_VISIBLE_DEVICES='' "$python" -m torch.distributed.run --standalone --nproc-per-node 2 "${photos[@]}" --steps 4)
+(cd "$root/tools/train" && "$python" "${photos[@]}" --steps 6 --resume "$out/photos")
+"$python" "$root/tools/train/train.py" --config "$out/vggt.json" --out "$out/vggt" --steps 2 --zipsplat "$zipsplat" --lpips "$out/lpips.safetensors"
+"$python" "$root/tools/train/train.py" --config "$root/tools/train/da3s.json" --out "$out/da3s" --steps 2 --zipsplat "$zipsplat" \
+    --lpips "$out/lpips.safetensors" --set size=56 --set batch_scenes=2 --set scenes=2 --set record_views=12 --set pool_gb=0.03
+"$python" "$root/tools/train/ablate.py" --config "$root/tools/train/ablation.json" --out "$out/ablation" --only 0 --steps 2 \
+    --zipsplat "$zipsplat" --backbone "$out/model.safetensors" --set scenes=4 | tee "$out/ablation.md"
+grep -q '^| full | 1,024 | [0-9.]* | [0-9.]* | [0-9.]* |$' "$out/ablation.md"
 "$zipsplat" info "$out/photos/model.safetensors"
 
 "$python" "$root/tools/train/check.py" dump "$out/model.safetensors" "$out/golden.safetensors"
 "$zipsplat" scene --seed 7 --views 4 --size 84x84 -o "$out/scene"
 "$zipsplat" reconstruct "$out/scene/images" --weights "$out/model.safetensors" -o "$out/scene.ply"
 test -s "$out/scene.ply"
+"$zipsplat" reconstruct "$out/scene/images" --weights "$out/vggt/model.safetensors" -o "$out/vggt.ply"
+test -s "$out/vggt.ply"
 echo "smoke test of training: passed"

@@ -1,15 +1,15 @@
-"""Initial backbones: trained by this project or released by Depth Anything 3."""
+"""Initial backbones: trained by this project or released by Depth Anything 3 or VGGT."""
 
 import torch
 from safetensors import safe_open
 
+from vggt import DEVIATION, MEAN
 from weights import ARCHITECTURE_KEY
 
-# Name prefixes in releases (model.safetensors of da3-small to da3-giant) and in our files.
-RELEASED = {"model.backbone.pretrained.": "backbone.backbone.", "model.cam_enc.": "backbone.cam_enc."}
-
-# Releases normalize pictures with these; ZipSplat reads 0..1.
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+# Name prefixes in releases (model.safetensors of da3-small to da3-giant, and of VGGT) and in our
+# files.
+RELEASED = {"model.backbone.pretrained.": "backbone.backbone.", "model.cam_enc.": "backbone.cam_enc.", "aggregator.": "backbone.aggregator."}
+UNUSED = "backbone.aggregator.patch_embed.mask_token"
 
 
 def read(path):
@@ -26,13 +26,14 @@ def read(path):
         }
     if not found:
         raise SystemExit(f"{path}: found no backbone, expected tensors {' or '.join(prefixes)}*")
-    if released:
+    found.pop(UNUSED, None)
+    if released and "backbone.backbone.cls_token" in found:
         take_in_range(found)
     return found
 
 
 def take_in_range(tensors):
-    """Folds the input normalization (x - MEAN) / DEVIATION into the patch embedding."""
+    """Folds Depth Anything 3's input normalization into the patch embedding: ours reads 0..1."""
     weight, bias = (tensors[f"backbone.backbone.patch_embed.proj.{part}"] for part in ("weight", "bias"))
     weight /= weight.new_tensor(DEVIATION)[:, None, None]
     bias -= torch.einsum("ocyx,c->o", weight, weight.new_tensor(MEAN))

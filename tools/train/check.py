@@ -1,20 +1,21 @@
 """Compares the network with golden data, or writes a small golden for the engine's tests.
 
-    python tools/train/check.py goldens FOLDER                   # tests/data
+    python tools/train/check.py goldens FOLDER
     python tools/train/check.py dump WEIGHTS OUT.safetensors     # Gaussians for each ratio
 """
 
 import argparse
 import copy
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 
-from backbone import DEVIATION, MEAN
 from depth import DepthAnything3, architecture_from_json
 from model import ZipSplat, nearest_tokens
+from vggt import DEVIATION, MEAN, Aggregator
 from weights import Architecture, load, seeded
 
 # Bound on a tap's maximum error over the truth's RMS, from f32 rounding.
@@ -49,6 +50,14 @@ DEPTH = """{"name": "da3_tiny", "features": 32, "channels": [16, 24, 32, 48], "b
     "heads": 2, "ffn": "gelu", "ffn_hidden": 512, "patch": 14, "position_grid": 37, "alt_start": 2, "qk_norm_start": 2,
     "rope_start": 2, "out_layers": [2, 3, 4, 5]}}"""
 DEPTH_GOLDENS = {"v1": 0, "v2": 0, "v3": 1}
+
+
+# Tiny aggregators of VGGT: width, heads, blocks of the embedding, pairs, side of the position grid;
+# pairs with features; cases.
+VGGT = {
+    "vggt_tiny": ((64, 2, 3, 5, 37), (1, 2, 3, 4), ("v1", "v2", "v3")),
+    "vggt_micro": ((32, 1, 2, 3, 4), (0, 1, 1, 2), ("v3", "native", "up")),
+}
 
 
 def golden_model(architecture):
@@ -108,28 +117,55 @@ def compare_depth(model, golden, reference):
     return {name: deviation(found.double(), golden[name].double()).item() for name, found in taps.items()}
 
 
+def vggt_architecture(name):
+    (width, heads, embedding, pairs, grid), outputs, _ = VGGT[name]
+    layers = tuple(embedding + 2 * pair + 1 for pair in sorted(set(outputs)))
+    return paper(name, width, embedding + 2 * pairs, embedding, layers, heads=heads, position_grid=grid, family="vggt")
+
+
+def aggregator(name):
+    model = Aggregator(vggt_architecture(name)).double()
+    state = {key: seeded(name, f"aggregator.{key}", tuple(p.shape)) for key, p in model.state_dict().items()}
+    model.load_state_dict(state)
+    return model.eval()
+
+
+@torch.no_grad()
+def compare_aggregator(model, golden):
+    """Returns {tap: maximum error / RMS} of tokens and features."""
+    taps = {}
+    model((golden["in/images_u8"].to(model.camera_token.dtype) / 255)[None], taps)
+    for j, pair in enumerate(VGGT[model.architecture.name][1]):
+        taps[f"agg/feat{j}"] = torch.cat((taps[f"agg/frame{pair}"], taps[f"agg/global{pair}"]), -1)
+    taps = {name: value.double() for name, value in taps.items() if name in golden}
+    return {name: deviation(value.reshape(golden[name].shape), golden[name].double()).item() for name, value in taps.items()}
+
+
 def deviation(found, truth):
     return (found - truth).abs().max() / truth.square().mean().sqrt()
 
 
+def cases(folder):
+    """Yields file, model and comparison of each golden."""
+    for architecture in GOLDENS:
+        for path in sorted(Path(folder).glob(f"{architecture.name}.v*.safetensors")):
+            yield path, golden_model(architecture), compare
+    for case, reference in DEPTH_GOLDENS.items():
+        yield Path(folder) / f"da3_tiny.{case}.safetensors", depth_model(), partial(compare_depth, reference=reference)
+    for name, (_, _, names) in VGGT.items():
+        for case in names:
+            yield Path(folder) / f"{name}.{case}.safetensors", aggregator(name), compare_aggregator
+
+
 def goldens(folder):
     failed = 0
-    for architecture in GOLDENS:
-        model = golden_model(architecture)
-        for path in sorted(Path(folder).glob(f"{architecture.name}.v*.safetensors")):
-            golden = load_file(path)
-            for dtype, limit in ((torch.float64, 1e-6), (torch.float32, TOLERANCE)):
-                errors = compare(model.to(dtype), golden)
-                # Short raw quaternions and clamped exponentials amplify errors.
-                bad = {k: e for k, e in errors.items() if not e <= limit * (4 if k.endswith("gauss") else 1)}
-                print(f"{path.name} {dtype}: {len(errors)} taps, worst {max(errors.values()):.1e}", bad or "")
-                failed += len(bad)
-    for case, reference in DEPTH_GOLDENS.items():
-        model, golden = depth_model(), load_file(Path(folder) / f"da3_tiny.{case}.safetensors")
+    for path, model, compared in cases(folder):
+        golden = load_file(path)
         for dtype, limit in ((torch.float64, 1e-6), (torch.float32, TOLERANCE)):
-            errors = compare_depth(model.to(dtype), golden, reference)
-            bad = {k: e for k, e in errors.items() if not e <= limit}
-            print(f"da3_tiny.{case} {dtype}: {len(errors)} taps, worst {max(errors.values()):.1e}", bad or "")
+            errors = compared(model.to(dtype), golden)
+            # Short raw quaternions and clamped exponentials amplify errors.
+            bad = {k: e for k, e in errors.items() if not e <= limit * (4 if k.endswith("gauss") else 1)}
+            print(f"{path.name} {dtype}: {len(errors)} taps, worst {max(errors.values()):.1e}", bad or "")
             failed += len(bad)
     raise SystemExit(1 if failed else 0)
 

@@ -10,12 +10,13 @@ SH0 = 0.28209479177387814  # the constant spherical harmonic
 
 
 @torch.no_grad()
-def initialize(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, coupled=True):
+def initialize(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, coupled=True, colors=True):
     """Initializes all weights.
 
-    A token's Gaussians start at one point (up to `jitter`), nearly transparent, `depth` in front
-    of the first camera, in the color of their cell of the patch's `cells` (rows, columns). `size`
-    and `opacity` are raw values before activation. Unless `coupled`, the head's weights are random.
+    A token's Gaussians start equal (up to `jitter`), nearly transparent, `depth` in front of the
+    first camera. With `colors` they start in the mean colors of the patch's `cells` (rows,
+    columns). `size` and `opacity` are raw values before activation. Unless `coupled`, the head's
+    weights are random.
     """
     a = model.architecture
     for name, parameter in model.named_parameters():
@@ -27,13 +28,14 @@ def initialize(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, cou
             std = parameter[0].numel() ** -0.5
             residual = name.endswith((".attn.proj.weight", ".mlp.fc2.weight", ".mlp.w3.weight"))
             nn.init.trunc_normal_(parameter, std=std / math.sqrt(2 * a.depth) if residual else std)
-    vit = model.backbone.backbone
+    vit = model.backbone.embedding()
     # Maps 0..1 to zero mean and unit contrast.
     for conv in (vit.patch_embed.proj, model.color_embed.proj):
         conv.weight.mul_(3)
         conv.bias.copy_(-0.5 * conv.weight.sum((1, 2, 3)))
     nn.init.normal_(vit.cls_token, std=0.02)
-    nn.init.normal_(vit.camera_token, std=0.5)
+    if a.family == "da3":
+        nn.init.normal_(vit.camera_token, std=0.5)
     vit.pos_embed.zero_()
     vit.pos_embed[0, 1:] = 0.5 * wave_grid(a.position_grid, a.width)
 
@@ -48,7 +50,8 @@ def initialize(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, cou
     bias[6] = 1
     bias[10] = opacity
     last.bias.copy_(bias.repeat(a.gaussians_per_token))
-    see_colors(model, cells)
+    if colors:
+        see_colors(model, cells)
     if model.queries is not None:
         nn.init.normal_(model.queries)
         nn.init.normal_(model.color_queries, std=0.3)

@@ -8,6 +8,18 @@ from functools import cache
 import torch
 import torch.nn.functional as F
 from torch import nn
+from torch.utils.checkpoint import checkpoint
+
+
+class Recomputed(nn.Module):
+    """A block that with `recompute` keeps only its inputs for the backward pass."""
+
+    recompute = False
+
+    def forward(self, *inputs):
+        if self.recompute and torch.is_grad_enabled():
+            return checkpoint(self.compute, *inputs, use_reentrant=False)
+        return self.compute(*inputs)
 
 
 class Mlp(nn.Module):
@@ -107,7 +119,7 @@ class Attention(nn.Module):
         return x.unflatten(-1, (parts, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
 
 
-class Block(nn.Module):
+class Block(Recomputed):
     def __init__(self, width, heads, mlp, qk_norm, eps=1e-5):
         super().__init__()
         self.norm1 = nn.LayerNorm(width, eps)
@@ -117,12 +129,12 @@ class Block(nn.Module):
         self.mlp = mlp
         self.ls2 = LayerScale(width)
 
-    def forward(self, x, rope=None):
+    def compute(self, x, rope=None):
         x = x + self.ls1(self.attn(self.norm1(x), rope=rope))
         return x + self.ls2(self.mlp(self.norm2(x)))
 
 
-class CrossBlock(nn.Module):
+class CrossBlock(Recomputed):
     def __init__(self, width, heads, hidden):
         super().__init__()
         self.norm_q = nn.LayerNorm(width)
@@ -133,7 +145,7 @@ class CrossBlock(nn.Module):
         self.mlp = Mlp(width, hidden, width)
         self.ls2 = LayerScale(width)
 
-    def forward(self, queries, context):
+    def compute(self, queries, context):
         """Returns the residual to add to the queries."""
         delta = self.ls1(self.attn(self.norm_q(queries), self.norm_kv(context)))
         return delta + self.ls2(self.mlp(self.norm2(queries + delta)))

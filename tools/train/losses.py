@@ -4,7 +4,6 @@ import math
 
 import torch
 import torch.nn.functional as F
-from safetensors.torch import load_file
 from torch import nn
 
 from initialize import SH0
@@ -38,17 +37,26 @@ def gradient_difference(a, b, scales=3):
 class Lpips(nn.Module):
     """LPIPS 0.1 by VGG16 (Zhang et al. 2018), differentiable in the first picture."""
 
+    CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
     # Convolutions after a pooling. Features are compared before each pooling and at the end.
     POOLED = (2, 4, 7, 10)
     SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
-    def __init__(self, path):
+    def __init__(self, tensors):
         super().__init__()
-        for name, value in load_file(path).items():
+        for name, value in tensors.items():
             value = value.movedim(-1, 1).contiguous() if name.endswith("weight") and value.ndim == 4 else value
             self.register_buffer(name.replace(".", "_"), value, persistent=False)
         for name in ("SHIFT", "SCALE"):
             self.register_buffer(name.lower(), torch.tensor(getattr(self, name))[:, None, None], persistent=False)
+
+    @classmethod
+    def shapes(cls):
+        """Returns {name: shape} of the file by tools/lpips.py."""
+        shapes = {}
+        for i, (inputs, outputs) in enumerate(zip((3, *cls.CHANNELS), cls.CHANNELS)):
+            shapes |= {f"convolutions.{i}.weight": (outputs, 3, 3, inputs), f"convolutions.{i}.bias": (outputs,)}
+        return shapes | {f"taps.{tap}.weight": (cls.CHANNELS[i - 1],) for tap, i in enumerate((*cls.POOLED, 13))}
 
     def forward(self, a, b):
         """Mean distance of pairs of [N, 3, H, W], clipped to 0..1."""
@@ -66,22 +74,43 @@ class Lpips(nn.Module):
         return distance
 
 
-def chamfer(means, points, free, sample):
-    """Mean distance of `free` [B, N] Gaussians to their nearest point, over a random `sample`.
+# Most distances of the Chamfer search in memory at a time, 256 MiB.
+PAIRS = 1 << 26
 
-    Quadratic near 0, linear beyond 1 (the paper: quadratic), so outliers do not dominate.
+
+def chamfer(means, points, free, sample=0, robust=False):
+    """Mean squared distance of `free` [B, N] Gaussians to their nearest point.
+
+    `sample` > 0 reads that many random Gaussians. `robust` is linear beyond distance 1, so outliers
+    do not dominate.
     """
     b, n = means.shape[:2]
-    if n > sample:
+    if 0 < sample < n:
         index = torch.randint(n, (b, sample), device=means.device)
         means = means.gather(1, index[..., None].expand(-1, -1, 3))
         free = free.gather(1, index)
     with torch.no_grad():
-        distances = points.square().sum(-1)[:, None] - 2 * means @ points.transpose(1, 2)
-        nearest = distances.argmin(2)
-    target = points.gather(1, nearest[..., None].expand(-1, -1, 3))
-    distance = (means - target).square().sum(-1).add(1e-8).sqrt()
-    return (F.smooth_l1_loss(distance, torch.zeros_like(distance), reduction="none") * free).mean()
+        square, transposed = points.square().sum(-1)[:, None], points.transpose(1, 2)
+        parts = means.split(max(PAIRS // (b * points.shape[1]), 1), 1)
+        nearest = torch.cat([(square - 2 * part @ transposed).argmin(2) for part in parts], 1)
+    square = (means - points.gather(1, nearest[..., None].expand(-1, -1, 3))).square().sum(-1)
+    if robust:
+        distance = square.add(1e-8).sqrt()
+        square = F.smooth_l1_loss(distance, torch.zeros_like(distance), reduction="none")
+    return (square * free).mean()
+
+
+def depth(pictures, truth, robust=False):
+    """L1 between rendered and true depth [B, C, H, W] where it is known (above 0).
+
+    `robust` is relative to depth, and accumulates weight * (depth - truth): its gradients reach
+    depth, and weight at wrong depth.
+    """
+    if robust:
+        error = (pictures.depth - pictures.alpha * truth).abs() / truth.clamp_min(0.5)
+    else:
+        error = (pictures.depth / pictures.alpha.clamp_min(1e-10) - truth).abs()
+    return (error * (truth > 0)).mean()
 
 
 def signed_log(x):
@@ -141,11 +170,11 @@ def ray(means, batch, given, tokens):
     return (error.mean((1, 2)) * given).mean()
 
 
-def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perceptual=None):
+def total(gaussians, tokens, pictures, given, batch, weights, config, perceptual=None):
     """Returns the weighted sum and the losses by name.
 
     `tokens` are the kept ones, `pictures` None skips rendering losses, `given` [B] marks scenes
-    with known cameras, `sample` goes to `chamfer`.
+    with known cameras.
     """
     means, scales, opacity = gaussians[..., :3], gaussians[..., 3:6], gaussians[..., 10]
     parts = {"position": F.relu(torch.log1p(means.abs()) - 3).square().mean()}
@@ -157,28 +186,26 @@ def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perce
     if pictures is None:
         parts["color"] = color(gaussians[..., 11:14], batch, tokens)
     else:
-        parts |= seen(means, pictures, batch, sample, perceptual)
-        parts["scale"] = F.relu(scales - 0.1).square().mean()
-        parts["opacity"] = F.relu(opacity - 0.01).square().mean()
+        parts |= seen(means, pictures, batch, weights, config, perceptual)
+        parts["scale"] = F.relu(scales - config["hinges"]["scale"]).square().mean()
+        parts["opacity"] = F.relu(opacity - config["hinges"]["opacity"]).square().mean()
     parts = {name: value for name, value in parts.items() if weights[name]}
     return sum(weights[name] * value for name, value in parts.items()), parts
 
 
-def seen(means, pictures, batch, sample, perceptual):
+def seen(means, pictures, batch, weights, config, perceptual):
     """Returns the losses that need rendered targets."""
     rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colors))
-    surface = batch.depth > 0
-    # sum of weight * (depth - truth): gradients reach depth, and weight at wrong depth.
-    depth_error = (pictures.depth - pictures.alpha * batch.depth).abs() / batch.depth.clamp_min(0.5)
     parts = {
         "l1": (rgb - truth).abs().mean(),
         "mse": (rgb - truth).square().mean(),
-        "chamfer": chamfer(means, batch.points, ~pictures.reached, sample),
-        "depth": (depth_error * surface).mean(),
+        "depth": depth(pictures, batch.depth, config["robust"]),
     }
+    if weights["chamfer"]:
+        parts["chamfer"] = chamfer(means, batch.points, ~pictures.reached, config["chamfer_gaussians"], config["robust"])
     if perceptual is not None:
         parts["perceptual"] = perceptual(rgb, truth)
-    else:
+    elif weights["ssim"] or weights["gradient"]:
         parts["ssim"] = 1 - ssim(rgb, truth)
         parts["gradient"] = gradient_difference(rgb, truth)
     return parts

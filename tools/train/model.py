@@ -10,7 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from layers import Block, CrossBlock, Mlp, PatchEmbed, SwiGlu, rope_table
+from layers import Block, CrossBlock, Mlp, PatchEmbed, Recomputed, SwiGlu, rope_table
+from vggt import Aggregator
 
 BACKBONE_EPS = 1e-6
 
@@ -140,12 +141,33 @@ class CameraEncoder(nn.Module):
 
 
 class Backbone(nn.Module):
-    """Holds submodules under the released parameter names."""
+    """Features of either family, under the released parameter names."""
 
     def __init__(self, a):
         super().__init__()
-        self.backbone = VisionTransformer(a)
-        self.cam_enc = CameraEncoder(a)
+        if a.family == "vggt":
+            self.aggregator = Aggregator(a)
+        else:
+            self.backbone = VisionTransformer(a)
+            self.cam_enc = CameraEncoder(a)
+
+    def embedding(self):
+        """Returns the module with the patch embedding and its positions."""
+        return self.backbone if hasattr(self, "backbone") else self.aggregator.patch_embed
+
+    def forward(self, images, priors, given, taps):
+        """Returns (local, global) patch tokens [B, V, T, D] by layer; VGGT ignores priors."""
+        if hasattr(self, "aggregator"):
+            return self.aggregator(images, taps)
+        vit, camera_tokens = self.backbone, None
+        if priors is not None:
+            # In bf16, rotations would deviate by up to 0.3 degrees.
+            with torch.autocast(images.device.type, enabled=False):
+                camera_tokens = self.cam_enc(*priors, images.shape[-2:])
+            if given is not None:
+                learned = vit.learned_camera_tokens(*images.shape[:2])
+                camera_tokens = torch.where(given[:, None, None], camera_tokens.to(learned.dtype), learned)
+        return vit(images, camera_tokens, taps)
 
 
 class GaussianHead(nn.Module):
@@ -199,10 +221,11 @@ def activate(raw, sh_degree):
 class ZipSplat(nn.Module):
     """The network. `queries` > 0 uses learned queries instead of scene tokens, as C3G (2025) does.
 
-    Learned queries are for comparison in training; the engine does not support them.
+    Learned queries are for comparison in training; the engine does not support them. `recompute`
+    trades the blocks' activations for a second forward pass.
     """
 
-    def __init__(self, architecture, queries=0):
+    def __init__(self, architecture, queries=0, recompute=False):
         super().__init__()
         a = self.architecture = architecture
         layers = range(len(a.out_layers))
@@ -220,6 +243,9 @@ class ZipSplat(nn.Module):
         self.queries, self.color_queries = (
             nn.Parameter(torch.zeros(1, queries, width)) if queries else None for width in (a.width, a.color_width)
         )
+        for module in self.modules():
+            if isinstance(module, Recomputed):
+                module.recompute = recompute
 
     def prepare(self, images, priors=None, given=None, taps=None):
         """[B, V, 3, H, W] in 0..1 -> layer tokens [B, V * T, D], deepest first, and color tokens.
@@ -228,16 +254,8 @@ class ZipSplat(nn.Module):
         pixels) or None; `given` [B] selects the scenes that use them (None: all).
         """
         taps = {} if taps is None else taps
-        vit, camera_tokens = self.backbone.backbone, None
-        if priors is not None:
-            # In bf16, rotations would deviate by up to 0.3 degrees.
-            with torch.autocast(images.device.type, enabled=False):
-                camera_tokens = self.backbone.cam_enc(*priors, images.shape[-2:])
-            if given is not None:
-                learned = vit.learned_camera_tokens(*images.shape[:2])
-                camera_tokens = torch.where(given[:, None, None], camera_tokens.to(learned.dtype), learned)
         layers = []
-        for i, (local, global_) in enumerate(reversed(vit(images, camera_tokens, taps))):
+        for i, (local, global_) in enumerate(reversed(self.backbone(images, priors, given, taps))):
             taps[f"bb/feat{i}"] = torch.cat((local, global_), -1)
             local, global_ = self.pre_norm_local[i](local), self.pre_norm_global[i](global_)
             tokens = self.downscale[i](torch.cat((local, global_), -1)) + (local + global_) / 2

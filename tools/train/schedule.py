@@ -5,18 +5,33 @@ import math
 from pathlib import Path
 
 
-def read_config(path, changes):
-    config = json.loads(Path(path).read_text())
+def read_config(path, changes=()):
+    config = read_preset(path)
     for change in changes:
         name, value = change.split("=", 1)
         *parents, last = name.split(".")
         section = config
         for parent in parents:
-            section = section[parent]
+            section = section.get(parent, {})
         if last not in section:
             raise SystemExit(f"--set {name}: found no such setting in {path}")
         section[last] = json.loads(value)
     validate(config)
+    return config
+
+
+def read_preset(path):
+    """Returns the settings of a file and, where it omits some, of the file named by its `base`."""
+    path = Path(path)
+    own = json.loads(path.read_text())
+    if "base" not in own:
+        return own
+    config = read_preset(path.parent / own.pop("base"))
+    for name, value in own.items():
+        section, value = (config[name], value) if isinstance(value, dict) else (config, {name: value})
+        if unknown := value.keys() - section.keys():
+            raise SystemExit(f"{path}: found unknown settings {', '.join(sorted(unknown))}, expected those of its base")
+        section.update(value)
     return config
 
 
@@ -28,19 +43,35 @@ def validate(config):
             raise SystemExit(f"{name}: found {json.dumps(found)}, expected {expected}")
 
     a, initial, weights = config["architecture"], config["initial"], config["losses"]
-    cells, per_token, rate, queries = (config["anchor_cells"], a["gaussians_per_token"], config["backbone_rate"], config["queries"])
+    cells, per_token, queries = config["anchor_cells"], a["gaussians_per_token"], config["queries"]
     count = math.prod(cells)
-    expect("initial.coupled", initial["coupled"], isinstance(initial["coupled"], bool), "true or false")
+    for name in ("coupled", "colors"):
+        expect(f"initial.{name}", initial[name], isinstance(initial[name], bool), "true or false")
     expect("anchor_cells", cells, per_token % count == 0, f"rows and columns that divide the {per_token} Gaussians of a token")
-    width = a["color_width"]
-    expect("architecture.color_width", width, width >= 3 * count, f"{3 * count} at least, three channels for each of anchor_cells")
-    least = 2 * (a["width"] + width)
-    expect("architecture.head_hidden", a["head_hidden"], a["head_hidden"] >= least, f"{least} at least")
-    expect("backbone_rate", rate, isinstance(rate, int | float) and 0 <= rate <= 1, "a share of the learning rate, 0 to 1")
+    if initial["colors"]:
+        width = a["color_width"]
+        expect("architecture.color_width", width, width >= 3 * count, f"{3 * count} at least, three channels for each of anchor_cells")
+        least = 2 * (a["width"] + width)
+        expect("architecture.head_hidden", a["head_hidden"], a["head_hidden"] >= least, f"{least} at least")
+    for name in ("backbone_rate", "aggregator_rate"):
+        rate = config[name]
+        expect(name, rate, isinstance(rate, int | float) and 0 <= rate <= 1, "a share of the learning rate, 0 to 1")
+    if a["family"] == "vggt":
+        expect("priors", config["priors"], config["priors"] == 0, "0, since VGGT has no known cameras as input")
+    expect("architecture.family", a["family"], a["family"] in ("da3", "vggt"), "da3 or vggt")
+    for name in ("progressive", "ratio_step"):
+        expect(name, config[name], 0 <= float(config[name]) <= 1, "a fraction, 0 to 1")
+    scenes, views = config["batch_scenes"], config["batch_views"]
+    expect("batch_scenes", scenes, (scenes > 0) != (views > 0), f"0 if batch_views is positive, found {views}, else a number of scenes")
+    most, highest = config["views_at_once"], config["views"][1]
+    expect("views_at_once", most, most == 0 or most >= highest, f"0, or at least the {highest} views of a scene")
+    highest += config["targets"]
+    expect("record_views", config["record_views"], config["record_views"] >= highest, f"{highest} at least, views and targets")
     gap = config["gap"]
     ordered = isinstance(gap, list) and len(gap) == 2 and 1 <= gap[0] <= gap[1]
     expect("gap", gap, ordered, "the least and the largest number of neighboring frames that a scene's views are of")
-    expect("muon", config["muon"], isinstance(config["muon"], bool), "true, or false for AdamW alone")
+    for name in ("muon", "robust", "recompute", "shard", "bf16", "compile"):
+        expect(name, config[name], isinstance(config[name], bool), "true or false")
     expect("queries", queries, isinstance(queries, int) and queries >= 0, "a number of learned queries, 0 for tokens of the scene")
     if queries:
         for name in ("anchor", "ray", "color"):
@@ -62,19 +93,22 @@ class Schedule:
         return self.config["learning_rate"] * min(done / warmup, falling)
 
     def draw(self, done, rng):
-        """Draws views and ratio; ranges grow from fewest views and ratio 1 in the first half."""
-        grown = min(2 * done, 1) if self.config["progressive"] else 1
+        """Draws views and ratio; ranges grow from fewest views and ratio 1 until `progressive`."""
+        until, step = self.config["progressive"], self.config["ratio_step"]
+        grown = min(done / until, 1) if until else 1
         low, high = self.config["views"]
         views = rng.randint(low, round(low + (high - low) * grown))
         least = min(self.config["ratio"] * math.sqrt(2 / views), 1)
         least = 1 - (1 - least) * 0.5 * (1 - math.cos(math.pi * grown))
-        return views, max(round(rng.uniform(least, 1) * 20) / 20, 0.05)
+        ratio = rng.uniform(least, 1)
+        return views, max(round(ratio / step) * step, step) if step else ratio
 
     def draws_pictures(self, done, rng):
         """Whether a step renders: not in the first phase, later with a fixed probability."""
         return done >= self.config["geometry_until"] and rng.random() >= self.config["geometry_after"]
 
     def weights(self, done):
-        """Loss weights, with anchors fading out."""
-        fade = max(1 - done / self.config["anchor_until"], 0)
+        """Loss weights, with anchors fading out until `anchor_until`."""
+        until = self.config["anchor_until"]
+        fade = max(1 - done / until, 0) if until else 0
         return {**self.config["losses"], "anchor": self.config["losses"]["anchor"] * fade}

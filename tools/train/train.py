@@ -25,58 +25,63 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 import torch.distributed as dist
-from PIL import Image
+from safetensors.torch import load_file
 
 import backbone
 import losses
+import paper
+import plan
+
+
 import weights as files
 from captures import Captures
-from data import Pool, Shards, batch, fixed_split, generator_command, record
+from data import Pool, Shards, generator_command, record
+from evaluation import SCENES, evaluate, geometry, save_curve
 from grow import refine, widen_colors
 from initialize import initialize
 from model import ZipSplat
+from objective import Objective
 from optimizer import Optimizer
-from rasterize import rasterize
+from parallel import device_of_process, distribute, full_state, rank_and_processes
 from schedule import Schedule, read_config
 
 ROOT = Path(__file__).resolve().parents[2]
 # Seeds: training from 0, its second process from 2^36, validation from 2^40.
 UNSEEN_SEED = 1 << 40
 SEEDS_A_PROCESS = 1 << 36
-UNSEEN_SCENES = 16
 
 
 class Trainer:
     def __init__(self, args, config):
         self.args, self.config = args, config
-        self.rank, self.processes = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-        self.device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
-        if self.processes > 1:
-            dist.init_process_group("nccl" if self.device.type == "cuda" else "gloo")
+        self.rank, self.processes = rank_and_processes()
+        self.device = device_of_process()
         torch.manual_seed(config["seed"])
-        self.rng = random.Random(config["seed"] + self.rank)
+        # All processes draw the same numbers of views.
+        self.rng = random.Random(config["seed"])
         self.out = Path(args.out)
         (self.out / "samples").mkdir(parents=True, exist_ok=True)
         self.step = self.samples = self.first_seed = self.steps_before = 0
         self.elapsed = self.seconds_before = 0.0
         self.log = []
-        self.stopped = False
+        self.asked_to_stop = self.stopped = False
         signal.signal(signal.SIGTERM, self.stop)
 
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
-        model = ZipSplat(self.architecture, config["queries"])
+        model = ZipSplat(self.architecture, config["queries"], config["recompute"])
         state = self.begin(model)
-        self.model = model.to(self.device)
-        self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
-        self.optimizer = Optimizer(self.model, config["weight_decay"], self.rank, self.processes, config["backbone_rate"], config["muon"])
+        model.to(self.device)
+        average = copy.deepcopy(model).eval().requires_grad_(False) if config["ema"] else model
+        if state and config["ema"]:
+            average.load_state_dict(state["average"])
+        self.model = distribute(model, config["shard"])
+        self.average = distribute(average, config["shard"]) if config["ema"] else model
+        self.optimizer = Optimizer(self.model, config)
         if state:
-            self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
-        self.perceptual = losses.Lpips(args.lpips).to(self.device) if args.lpips else None
-        self.autocast = torch.bfloat16 if config["bf16"] else None
+        self.objective = Objective(config, losses.Lpips(load_file(args.lpips)).to(self.device) if args.lpips else None)
         if config["compile"]:
             self.compile()
         self.schedule = Schedule(config)
@@ -85,13 +90,13 @@ class Trainer:
         torch.manual_seed(config["seed"] + self.rank)
 
         self.shards = self.stream(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"])
-        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.processes / self.shards.record.itemsize)
+        capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.shards.record.itemsize)
         self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
         self.evaluated = self.pool
-        if not 0 < config["scenes"] <= UNSEEN_SCENES:
-            unseen = self.stream(UNSEEN_SEED, UNSEEN_SCENES, unseen=True)
-            self.evaluated = Pool(unseen, UNSEEN_SCENES, self.device)
-            self.evaluated.fill(UNSEEN_SCENES)
+        if not 0 < config["scenes"] <= SCENES:
+            unseen = self.stream(UNSEEN_SEED, SCENES, unseen=True)
+            self.evaluated = Pool(unseen, SCENES, self.device)
+            self.evaluated.fill(SCENES)
             unseen.close()
 
     def stream(self, seed, scenes, unseen=False):
@@ -105,11 +110,12 @@ class Trainer:
 
     def done(self):
         """Returns the completed fraction of the run."""
-        return self.step / self.args.steps if self.args.steps else self.elapsed / (60 * self.args.minutes)
+        minutes, steps = self.args.minutes, self.args.steps or self.config["steps"]
+        return self.elapsed / (60 * minutes) if minutes else self.step / steps
 
     def stop(self, *_):
         """Ends the run after the current step, then saves."""
-        self.stopped = True
+        self.asked_to_stop = True
 
     def begin(self, model):
         """Initializes weights or loads --resume; returns the state of a resumed run."""
@@ -147,79 +153,55 @@ class Trainer:
 
         torch._dynamo.config.recompile_limit = 64
         for kind in (layers.Block, layers.CrossBlock):
-            kind.forward = torch.compile(kind.forward, dynamic=True)
+            kind.compute = torch.compile(kind.compute, dynamic=True)
         drawing.project = torch.compile(drawing.project, dynamic=True)
 
-    def forward(self, model, given_batch, ratio, given, draw=True):
-        priors = (given_batch.poses, given_batch.intrinsics)
-        with torch.autocast(self.device.type, self.autocast, enabled=self.autocast is not None):
-            gaussians, tokens = model(given_batch.images, ratio, priors, given)
-        if not draw:
-            return gaussians, tokens, None
-        size = given_batch.colors.shape[2:4]
-        pictures = rasterize(
-            gaussians, given_batch.viewmats, given_batch.target_intrinsics, size, self.architecture.sh_degree
-        )
-        return gaussians, tokens, pictures
+    def scenes_of_batch(self, views):
+        """Returns the number of scenes of a step in each process."""
+        config = self.config
+        return max((config["batch_scenes"] or config["batch_views"] // views) // self.processes, 1)
 
-    def geometry(self):
-        return self.config["chamfer_points"], self.config["anchor_cells"], self.architecture.patch
+    def sample(self, scenes, views, loose=None):
+        return self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *geometry(self.config), loose)
 
     def train_step(self):
         done = self.done()
         views, ratio = self.schedule.draw(done, self.rng)
-        scenes = max(self.config["batch_views"] // self.processes // views, 1)
+        scenes = self.scenes_of_batch(views)
         draw = self.schedule.draws_pictures(done, self.rng)
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
         # Cameras are only random in steps that do not render.
         loose = None if draw else given & (torch.rand(scenes, device=self.device) < self.config["loose"])
-        data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry(), loose)
-        gaussians, tokens, pictures = self.forward(self.model, data, ratio, given, draw)
-        weights = self.schedule.weights(done)
-        sample = self.config["chamfer_gaussians"]
-        loss, parts = losses.total(gaussians, tokens, pictures, given, data, weights, sample, self.perceptual)
-        loss.backward()
-        self.share_gradients()
-        norm = self.optimizer.step(self.schedule.rate(done), self.config["clip"])
+        data = self.sample(scenes, views, loose)
+        measured = self.objective.backward(self.model, data, ratio, given, self.schedule.weights(done), draw)
+        measured["norm"] = self.optimizer.step(self.schedule.rate(done), self.config["clip"])
+        self.synchronize()
         self.step += 1
         self.samples += scenes * self.processes
         decay = min(self.config["ema"], self.step / (10 + self.step))
-        with torch.no_grad():
-            torch._foreach_lerp_(list(self.average.parameters()), list(self.model.parameters()), 1 - decay)
-        with torch.no_grad():
-            parts |= {"loss": loss, "norm": norm, "median_scale": gaussians[:, ::7, 3:6].median()}
-            if draw:
-                error = (pictures.rgb.clamp(0, 1) - data.colors).square().mean((1, 2, 3, 4))
-                parts |= {"psnr": -10 * error.log10().mean(), "reached": pictures.reached.float().mean()}
-            return {name: value.detach() for name, value in parts.items()}
+        if self.config["ema"]:
+            with torch.no_grad():
+                torch._foreach_lerp_(list(self.average.parameters()), list(self.model.parameters()), 1 - decay)
+        return measured
 
-    def share_gradients(self):
-        """Averages gradients, adopts the first process's clock, stops all if one stops."""
-        now = time.perf_counter() - self.started
-        if self.processes == 1:
-            self.elapsed = now
-            return
-        gradients = [parameter.grad for parameter in self.model.parameters()]
-        clock = torch.tensor([now if self.rank == 0 else 0.0, float(self.stopped)], device=self.device)
-        flat = torch.cat([gradient.flatten() for gradient in gradients] + [clock])
-        dist.all_reduce(flat)
-        self.elapsed, self.stopped = flat[-2].item(), flat[-1].item() > 0
-        for gradient, mean in zip(gradients, (flat[:-2] / self.processes).split([g.numel() for g in gradients])):
-            gradient.copy_(mean.view_as(gradient))
+    def synchronize(self):
+        """Adopts the first process's clock; stops all if one is asked to."""
+        self.elapsed, self.stopped = time.perf_counter() - self.started, self.asked_to_stop
+        if self.processes > 1:
+            state = torch.tensor([self.elapsed if self.rank == 0 else 0.0, float(self.stopped)], device=self.device)
+            dist.all_reduce(state)
+            self.elapsed, self.stopped = state[0].item(), state[1].item() > 0
 
     def warm_up(self):
         """Compiles everything before the clock starts."""
         # A fixed number of scenes is the same set in every run.
-        self.pool.fill(self.config["scenes"] or min(self.config["batch_views"], self.pool.capacity))
+        self.pool.fill(self.config["scenes"] or min(max(map(self.scenes_of_batch, self.config["views"])), self.pool.capacity))
         for views, ratio in zip(self.config["views"], (1.0, 0.5)):
-            scenes = max(self.config["batch_views"] // views, 1)
-            data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry())
+            data = self.sample(self.objective.at_once(self.scenes_of_batch(views), views), views)
             given = torch.ones(len(data.images), device=self.device) > 0
-            gaussians, tokens, pictures = self.forward(self.model, data, ratio, given)
-            weights = self.config["losses"]
-            losses.total(gaussians, tokens, pictures, given, data, weights, 64, self.perceptual)[0].backward()
+            self.objective.backward(self.model, data, ratio, given, self.config["losses"])
         self.model.zero_grad(set_to_none=True)
-        self.evaluate()
+        evaluate(self.objective, self.average, self.evaluated)
         self.pool.waited = 0.0
 
     def run(self):
@@ -232,11 +214,10 @@ class Trainer:
         saved = logged = before
         measured, first_sample = {}, self.samples
         while self.done() < 1 and self.elapsed < end and not self.stopped:
-            for name, value in self.train_step().items():
+            step = self.train_step()
+            for name, value in step.items() if self.rank == 0 else ():
                 measured.setdefault(name, []).append(value)
-            if self.rank > 0:
-                continue
-            if self.step % 10 == 0 and self.elapsed - logged > config["log_seconds"]:
+            if self.rank == 0 and self.step % 10 == 0 and self.elapsed - logged > config["log_seconds"]:
                 row = {name: float(torch.stack(values).mean()) for name, values in measured.items()}
                 rate = (self.samples - first_sample) / (self.elapsed - logged)
                 self.report(row, rate, self.pool.waited / (self.elapsed - before))
@@ -246,9 +227,10 @@ class Trainer:
                 self.save()
                 self.started += time.perf_counter() - pause
                 saved = self.elapsed
-        if self.rank == 0:
-            self.save()
+        self.save()
         self.shards.close()
+        if self.processes > 1:
+            dist.destroy_process_group()
 
     def report(self, row, rate, waited):
         row = {
@@ -266,58 +248,14 @@ class Trainer:
         print(f"{self.elapsed:6.0f} s  step {self.step}  {rate:.1f} samples/s  waited {waited:.1%}  "
               + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
 
-    @torch.no_grad()
-    @torch.compiler.set_stance("force_eager")  # compiling evaluation would take minutes
-    def evaluate(self):
-        """Returns the PSNR of averaged weights on validation scenes (or few fixed ones)."""
-        views, targets = self.config["evaluate"]
-        count = min(UNSEEN_SCENES, self.evaluated.filled())
-        size = 8
-        scores, grid = {}, []
-        with torch.random.fork_rng(devices=[self.device] if self.device.type == "cuda" else []):
-            torch.manual_seed(0)
-            rows = {name: value[:count] for name, value in self.evaluated.rows.items()}
-            data = batch(*fixed_split(rows, views, targets), *self.geometry())
-        for given in (True, False):
-            for ratio in (1.0, 0.5):
-                psnr = []
-                for start in range(0, count, size):
-                    part = type(data)(*(value[start : start + size] for value in data))
-                    given_scenes = torch.full((len(part.images),), given, device=self.device)
-                    _, _, pictures = self.forward(self.average, part, ratio, given_scenes)
-                    rgb = pictures.rgb.clamp(0, 1)
-                    psnr.append(-10 * (rgb - part.colors).square().mean((2, 3, 4)).log10().flatten())
-                    if ratio == 1 and start == 0:
-                        grid.append((rgb, pictures.depth))
-                scores[f"{'priors' if given else 'plain'}_r{ratio:g}"] = torch.cat(psnr).mean().item()
-        self.picture(data, grid)
-        return scores
-
-    def picture(self, data, grid):
-        """Saves rows: two inputs; two targets as truth, with and without priors, depth."""
-        (given, depth), (plain, _) = grid
-        nearness = (1 / (1 + depth))[..., None].expand_as(given)
-        lines = []
-        for i in range(min(6, len(given))):
-            tiles = [data.images[i, 0].movedim(0, -1), data.images[i, -1].movedim(0, -1)]
-            for t in range(min(2, given.shape[1])):
-                tiles += [data.colors[i, t], given[i, t], plain[i, t], nearness[i, t]]
-            lines.append(torch.cat(tiles, 1))
+    def save(self):
+        """Scores and writes the run; every process takes part."""
+        sample = self.out / "samples" / f"{self.step + self.steps_before:07}.png" if self.rank == 0 else None
+        scores = attempt(evaluate, self.objective, self.average, self.evaluated, sample)
+        model, optimizer = full_state(self.model), self.optimizer.state_dict()
+        average = full_state(self.average) if self.config["ema"] else model
         if self.rank > 0:
             return
-        pixels = (torch.cat(lines).float().clamp(0, 1) * 255).byte().cpu().numpy()
-        Image.fromarray(pixels).save(self.out / "samples" / f"{self.step + self.steps_before:07}.png")
-
-    def attempt(self, part):
-        """Returns the part's result; a failure of diagnostics does not end the run."""
-        try:
-            return part()
-        except Exception as error:
-            print(f"{part.__name__} failed: {error}", flush=True)
-            return {}
-
-    def save(self):
-        scores = self.attempt(self.evaluate)
         print(
             ("learned" if self.evaluated is self.pool else "unseen")
             + " PSNR: "
@@ -330,15 +268,14 @@ class Trainer:
             name: getattr(self, name) for name in ("step", "samples", "elapsed", "steps_before", "seconds_before")
         }
         counters["first_seed"] = max(self.first_seed, self.pool.last_seed + 1)
-        state = {"model": self.model.state_dict(), "average": self.average.state_dict(),
-                 "optimizer": self.optimizer.state_dict(), "counters": counters, "log": self.log}  # fmt: skip
+        state = {"model": model, "average": average, "optimizer": optimizer, "counters": counters, "log": self.log}
         torch.save(state, self.out / "state.pt.partial")
         (self.out / "state.pt.partial").replace(self.out / "state.pt")
         device = torch.cuda.get_device_name() if self.device.type == "cuda" else "CPU"
         training = {"steps": self.step + self.steps_before, "samples": self.samples,
                     "seconds": round(self.elapsed + self.seconds_before), "device": device,
                     "next_seed": counters["first_seed"], "unseen_psnr": scores, "config": self.config}  # fmt: skip
-        files.save(self.out / "model.safetensors", self.architecture, self.average.state_dict(), torch.float16,
+        files.save(self.out / "model.safetensors", self.architecture, average, torch.float16,
                    {"zipsplat.training": json.dumps(training), "zipsplat.image_size": str(self.config["size"])})  # fmt: skip
         if self.log:
             names = list(dict.fromkeys(name for row in self.log for name in row))
@@ -346,28 +283,16 @@ class Trainer:
                 writer = csv.DictWriter(file, names)
                 writer.writeheader()
                 writer.writerows(self.log)
-            self.attempt(self.curve)
+            attempt(save_curve, self.log, self.out / "curve.png")
 
-    def curve(self):
-        import matplotlib
 
-        matplotlib.use("Agg")
-        from matplotlib import pyplot
-
-        figure, axes = pyplot.subplots(1, 2, figsize=(11, 4))
-        minutes = np.array([row["seconds"] for row in self.log]) / 60
-        axes[0].plot(minutes, [row["loss"] for row in self.log])
-        axes[0].set(xlabel="minutes", ylabel="loss", yscale="log")
-        axes[1].plot(minutes, [row.get("psnr", math.nan) for row in self.log], color="0.7", label="training")
-        for name in ("priors_r1", "priors_r0.5", "plain_r1", "plain_r0.5"):
-            scored = [(t, row[name]) for t, row in zip(minutes, self.log) if name in row]
-            if scored:
-                axes[1].plot(*zip(*scored), marker=".", label=f"unseen, {name}")
-        axes[1].set(xlabel="minutes", ylabel="PSNR, dB")
-        axes[1].legend()
-        figure.tight_layout()
-        figure.savefig(self.out / "curve.png", dpi=110)
-        pyplot.close(figure)
+def attempt(part, *arguments):
+    """Returns the part's result; a failure of diagnostics does not end the run."""
+    try:
+        return part(*arguments)
+    except Exception as error:
+        print(f"{part.__name__} failed: {error}", flush=True)
+        return {}
 
 
 def source(text):
@@ -381,10 +306,10 @@ def source(text):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--config", required=True)
-    parser.add_argument("--out", required=True)
-    length = parser.add_mutually_exclusive_group(required=True)
+    parser.add_argument("--out", help="folder of the run")
+    length = parser.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=float, help="length of the whole schedule")
-    length.add_argument("--steps", type=int, help="length of the whole schedule in steps")
+    length.add_argument("--steps", type=int, help="length of the whole schedule in steps; default: the setting")
     parser.add_argument(
         "--stop-after", type=float, default=math.inf, help="minutes until this call saves and ends"
     )
@@ -399,15 +324,29 @@ def main():
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration"
     )
+    parser.add_argument("--print-settings", action="store_true", help="compares the settings with the paper's and ends")
+    parser.add_argument("--plan", action="store_true", help="prints the memory that --gpus need and ends")
+    parser.add_argument("--gpus", type=int, default=1, help="number of processes for --plan")
     args = parser.parse_args()
-    if not (args.data or shutil.which(args.zipsplat)):
-        parser.error(f"--zipsplat: found no program {args.zipsplat}; `cargo build --release` in {ROOT} makes one")
     if not Path(args.config).is_file():
         parser.error(f"--config: found no file {args.config} from {Path.cwd()}; those of the repository lie in {ROOT / 'tools/train'}")
+    config = read_config(args.config, args.set)
+    if args.print_settings or args.plan:
+        print(paper.comparison(config) if args.print_settings else plan.report(config, args.gpus))
+        return
+    if not args.out:
+        parser.error("--out: found none, expected a folder for the run")
+    if not (args.minutes or args.steps or config["steps"]):
+        parser.error("--minutes, --steps: found none of them, and steps 0 in the settings")
+    weights = config["losses"]
+    if weights["perceptual"] and not (args.lpips or weights["ssim"] or weights["gradient"]):
+        parser.error(f"--lpips: found none, expected a file: losses.perceptual is {weights['perceptual']}, losses.ssim and losses.gradient are 0")
+    if not (args.data or shutil.which(args.zipsplat)):
+        parser.error(f"--zipsplat: found no program {args.zipsplat}; `cargo build --release` in {ROOT} makes one")
     torch.backends.cudnn.allow_tf32 = True
     torch.backends.cuda.enable_cudnn_sdp(False)  # it re-plans for every shape
     sys.stdout.reconfigure(line_buffering=True)
-    Trainer(args, read_config(args.config, args.set)).run()
+    Trainer(args, config).run()
 
 
 if __name__ == "__main__":

@@ -43,6 +43,7 @@ class Architecture:
     head_hidden: int
     gaussians_per_token: int
     sh_degree: int
+    family: str = "da3"
 
     @staticmethod
     def from_json(text):
@@ -50,7 +51,10 @@ class Architecture:
         return Architecture(**{**fields, "out_layers": tuple(fields["out_layers"])})
 
     def to_json(self):
-        return json.dumps({**asdict(self), "out_layers": list(self.out_layers)}, separators=(",", ":"))
+        fields = {**asdict(self), "out_layers": list(self.out_layers)}
+        if self.family == "da3":
+            del fields["family"]
+        return json.dumps(fields, separators=(",", ":"))
 
     def is_global(self, block):
         return block >= self.alt_start and block % 2 == 1
@@ -96,7 +100,7 @@ def seeded(key, name, shape):
     last = name.rsplit(".", 1)[-1]
     if last == "gamma":
         values = (52 + ((byte * 204) >> 8)) / 256
-    elif last in ("cls_token", "camera_token"):
+    elif last.endswith(("token", "tokens")):
         values = centered
     elif last == "pos_embed":
         values = centered / 2
