@@ -1,9 +1,11 @@
 // Reads scenes, packs textures, sorts by depth, deletes and saves.
 //
 // In, with the number of a scene:
-//   { load, bytes, name, view, whole }: the view's line of sight and eye are optional
+//   { load, bytes, name, view, whole, features }: the view's line of sight and eye are optional,
+//     and so are the features: channels, and signed bytes of Gaussians or of groups
 //   { sort, view }
-//   { edit, act, volume }: acts are "keep" and "delete" a volume, and "undo"; none only counts
+//   { edit, act, volume }: acts are "keep" and "delete" a volume or an object, and "undo"; none
+//     only counts
 //   { save, file, name, kind }
 // Out:
 //   { load, progress } or { load, failed } with a message
@@ -15,6 +17,7 @@
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
+const NEIGHBORS = 8; // through which an object spreads, as `zipsplat select` has it
 const scenes = new Map();
 const INVALID = 0xffff; // number of the edit that removes Gaussians with values that are not finite
 
@@ -67,7 +70,7 @@ function nearPlane(sample, scales) {
 }
 
 // Sorts and edits take turns with it.
-async function load({ load: id, bytes, name, view, whole }) {
+async function load({ load: id, bytes, name, view, whole, features }) {
     const progress = fraction => {
         if (whole) postMessage({ load: id, progress: fraction });
         return new Promise(resolve => setTimeout(resolve));
@@ -77,41 +80,121 @@ async function load({ load: id, bytes, name, view, whole }) {
     const { gaussians, harmonics, gone, dropped } = await pack(scene, progress), { count, all = count, degree, antialiased, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
     const sample = sampled(scene, gone, count), near = nearPlane(sample, scene.scales);
-    scenes.set(id, { means, count, opacities, near, gone, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
+    scenes.set(id, { means, count, opacities, near, gone, features, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
     const { faint } = counts(scenes.get(id));
     const order = view && sorted(scenes.get(id), view);
     postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
-// A box, or an ellipsoid if `round`, by its center and half its size.
-function within(means, i, { center, half, round }) {
-    const x = (means[3 * i] - center[0]) / half[0], y = (means[3 * i + 1] - center[1]) / half[1], z = (means[3 * i + 2] - center[2]) / half[2];
-    return round ? x * x + y * y + z * z <= 1 : Math.max(Math.abs(x), Math.abs(y), Math.abs(z)) <= 1;
+// Makes a k-d tree of `order`: the middle of a range splits it along an axis.
+function split(means, order, from, to, axis) {
+    if (to - from < 2) return;
+    const middle = from + to >> 1, at = k => means[3 * order[k] + axis];
+    for (let low = from, high = to - 1; low < high;) {
+        let i = low, j = high;
+        for (const pivot = at(low + high >> 1); i <= j;) {
+            while (at(i) < pivot) ++i;
+            while (at(j) > pivot) --j;
+            if (i <= j) [order[i++], order[j--]] = [order[j], order[i]];
+        }
+        if (middle <= j) high = j;
+        else if (middle >= i) low = i;
+        else break;
+    }
+    split(means, order, from, middle, (axis + 1) % 3);
+    split(means, order, middle + 1, to, (axis + 1) % 3);
 }
 
-function counts({ means, opacities, gone, edits }, volume) {
+// Of a Gaussian, itself included; searched once.
+function neighbors(scene, i) {
+    const { means, count } = scene, all = NEIGHBORS + 1;
+    if (!scene.tree) {
+        split(means, scene.tree = new Uint32Array(count).map((_, i) => i), 0, count, 0);
+        scene.neighbors = new Uint32Array(all * count);
+    }
+    const { tree } = scene, row = scene.neighbors.subarray(all * i, all * i + all);
+    if (row[0] !== row[1]) return row;
+    const apart = new Float64Array(all).fill(Infinity), [x, y, z] = means.subarray(3 * i, 3 * i + 3);
+    const visit = (from, to, axis) => {
+        if (from >= to) return;
+        const middle = from + to >> 1, other = tree[middle], next = (axis + 1) % 3, along = means[3 * i + axis] - means[3 * other + axis];
+        const squared = (x - means[3 * other]) ** 2 + (y - means[3 * other + 1]) ** 2 + (z - means[3 * other + 2]) ** 2;
+        if (squared < apart[NEIGHBORS]) {
+            let k = NEIGHBORS;
+            for (; k && apart[k - 1] > squared; --k) apart[k] = apart[k - 1], row[k] = row[k - 1];
+            apart[k] = squared;
+            row[k] = other;
+        }
+        const below = along < 0;
+        visit(below ? from : middle + 1, below ? middle : to, next);
+        if (along ** 2 < apart[NEIGHBORS]) visit(below ? middle + 1 : from, below ? to : middle, next);
+    };
+    row.fill(i);
+    visit(0, count, 0);
+    return row;
+}
+
+// Marks the Gaussians that neighbors connect with a seed: features of each have at least a cosine
+// similarity with the seeds' mean. Zeros have none.
+function object(scene, { seeds, least }) {
+    const { count, gone, features: { values, channels } } = scene, group = count * channels / values.length;
+    const marks = new Uint8Array(count), mean = new Float64Array(channels), row = i => channels * Math.floor(i / group);
+    const product = (at, other, from) => {
+        let sum = 0;
+        for (let c = 0; c < channels; ++c) sum += values[at + c] * other[from + c];
+        return sum;
+    };
+    const size = at => Math.sqrt(product(at, values, at));
+    for (const at of seeds.map(row)) mean.forEach((_, c) => mean[c] += values[at + c] / (size(at) || 1));
+    const length = Math.hypot(...mean), open = [];
+    const reach = i => {
+        if (marks[i] || gone[i] || !(product(row(i), mean, 0) / length / size(row(i)) >= least)) return;
+        marks[i] = 1;
+        open.push(i);
+    };
+    seeds.forEach(reach);
+    while (open.length) neighbors(scene, open.pop()).forEach(reach);
+    return marks;
+}
+
+// Test of Gaussians, by number: in an object, or in a box, or an ellipsoid if `round`, by its center
+// and half its size.
+function within(scene, volume) {
+    if (!volume) return () => false;
+    const { means } = scene, { center, half, round } = volume, marks = volume.seeds && (scene.marks = object(scene, volume));
+    if (marks) return i => marks[i] === 1;
+    return i => {
+        const x = (means[3 * i] - center[0]) / half[0], y = (means[3 * i + 1] - center[1]) / half[1], z = (means[3 * i + 2] - center[2]) / half[2];
+        return round ? x * x + y * y + z * z <= 1 : Math.max(Math.abs(x), Math.abs(y), Math.abs(z)) <= 1;
+    };
+}
+
+function counts(scene, volume) {
+    const { opacities, gone, edits } = scene, holds = within(scene, volume);
     let count = 0, faint = 0, inside = 0;
     for (let i = 0; i < gone.length; ++i) {
         if (gone[i]) continue;
         ++count;
         faint += !(opacities[i] >= FAINTEST);
-        if (volume) inside += within(means, i, volume);
+        inside += holds(i);
     }
     return { count, faint, inside, edits };
 }
 
 // Edits that would leave none or all are refused: the number of edits stays.
 function edit(scene, act, volume) {
-    const { means, gone } = scene, { count, inside } = counts(scene, volume), removed = act === "keep" ? count - inside : inside;
+    const before = counts(scene, volume), { gone } = scene, { count, inside } = before, removed = act === "keep" ? count - inside : inside;
+    if (!act) return before;
     if (act === "undo") {
         for (let i = 0; i < gone.length; ++i) if (gone[i] === scene.edits) gone[i] = 0;
         scene.edits = Math.max(0, scene.edits - 1);
-    } else if (act && removed > 0 && removed < count) {
+    } else if (removed > 0 && removed < count) {
+        const holds = within(scene, volume);
         ++scene.edits;
-        for (let i = 0; i < gone.length; ++i) if (!gone[i] && within(means, i, volume) === (act === "delete")) gone[i] = scene.edits;
+        for (let i = 0; i < gone.length; ++i) if (!gone[i] && holds(i) === (act === "delete")) gone[i] = scene.edits;
     }
     const after = counts(scene, volume);
-    return { ...after, sample: act && sampled(scene, gone, after.count) };
+    return { ...after, sample: sampled(scene, gone, after.count) };
 }
 
 async function save({ gone }, file, name, kind) {
@@ -122,8 +205,9 @@ async function save({ gone }, file, name, kind) {
 
 const digits = [new Uint32Array(65536), new Uint32Array(65536)];
 
-// Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits.
-function sorted({ means, count, opacities, near, gone, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
+// Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits. The
+// highest bit says that the object has it.
+function sorted({ means, count, opacities, near, gone, marks, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = digits;
     low.fill(0);
     high.fill(0);
@@ -139,7 +223,7 @@ function sorted({ means, count, opacities, near, gone, depths, indices }, [fx, f
     for (const digit of digits) for (let i = 0, sum = 0; i < 65536; ++i) sum += digit[i], digit[i] = sum - digit[i];
     for (let i = 0; i < count; ++i) if (depths[i] >= near) indices[low[bits[i] & 0xffff]++] = i;
     const order = new Uint32Array(seen);
-    for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k];
+    for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k] | marks?.[indices[k]] << 31;
     return order;
 }
 
