@@ -151,7 +151,7 @@ class Edit {
         return apart(handle) < REACH ? handle : null;
     }
 
-    // Nothing clears the selection.
+    // A click on the background clears the selection.
     click(event) {
         if (!this.picks || this.page.overlay.dragged(event)) return;
         const found = this.page.pick(event.clientX, event.clientY), added = event.shiftKey || element("add").checked;
