@@ -1,5 +1,5 @@
-// Crop and deletion by a box or sphere that is dragged by its handles, or by an object that is
-// clicked; undo; saving.
+// Crop and deletion by a box or sphere that is dragged by its handles, or of a clicked object; undo;
+// saving.
 
 const REACH = 22; // pixels from a handle's center
 const AXES = ["#f66", "#6d6", "#69f"];
@@ -37,10 +37,8 @@ class Edit {
     // Whether clicks select an object.
     get picks() { return this.shown && element("object").selected; }
 
-    get selection() { return this.picks ? this.object : this.volume; }
-
-    // For the shader, while it is shown.
-    get marked() { return this.shown ? this.selection : null; }
+    // While it is shown.
+    get marked() { return this.picks ? this.object : this.shown ? this.volume : null; }
 
     // After a change of the scene or the panel.
     enter() {
@@ -84,8 +82,8 @@ class Edit {
         element("fit").hidden = picks;
         element("likeness").hidden = !picks;
         this.object.least = Number(element("least-value").textContent = element("least").value);
-        if (!picks && round && !volume.round) volume.half.fill([...volume.half].sort((a, b) => a - b)[1]);
-        if (!picks) volume.round = round;
+        if (round && !volume.round) volume.half.fill([...volume.half].sort((a, b) => a - b)[1]);
+        volume.round = round;
         this.moved();
     }
 
@@ -96,7 +94,7 @@ class Edit {
 
     // Counts, and edits if `act` is given. The latest count waits for the answer to the one before.
     ask(act) {
-        const { page, selection: volume } = this;
+        const { page, marked: volume } = this;
         if (!act && this.waits) return void (this.again = true);
         this.waits = true;
         page.worker.postMessage({ edit: page.current, act, volume });

@@ -92,7 +92,7 @@ class Overlay {
         context.lineTo(...to);
     }
 
-    // After a click: whether it ended a drag.
+    // Whether a click ends a drag.
     dragged({ clientX, clientY }) { return Math.hypot(clientX - this.pressed?.[0], clientY - this.pressed?.[1]) > 4; }
 
     pick(event) {

@@ -71,8 +71,7 @@ class Page {
         try {
             const bytes = await this.bytes(scene, index);
             scene.bytes ??= bytes.byteLength;
-            const features = scene.features && { ...scene.features, values: new Int8Array(await this.features(index)) };
-            this.read(index, bytes, true, features);
+            this.read(index, bytes, true, scene.features && { ...scene.features, values: await this.features(index) });
         } catch (error) {
             this.failed(index, error.message);
         }
@@ -80,7 +79,7 @@ class Page {
 
     async features(index) {
         const inlined = element(`features-${index}`);
-        return inlined ? this.unpacked(inlined, this.scenes[index]) : (await asked(`features/${index}`)).arrayBuffer();
+        return new Int8Array(await (inlined ? this.unpacked(inlined) : (await asked(`features/${index}`)).arrayBuffer()));
     }
 
     // With any view for the first depth order.
@@ -106,7 +105,7 @@ class Page {
         if (scene.file) return scene.file.arrayBuffer();
         const { inlined } = scene;
         if (inlined) {
-            const bytes = await this.unpacked(inlined, scene);
+            const bytes = await this.unpacked(inlined);
             if (new Uint8Array(bytes)[0] === 0x1f) scene.extension = ".spz";
             return bytes;
         }
@@ -126,13 +125,13 @@ class Page {
         return new Blob(parts).arrayBuffer();
     }
 
-    async unpacked(inlined, { name }) {
+    async unpacked(inlined) {
         const text = inlined.textContent, padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
         const bytes = new Uint8Array(text.length / 4 * 3 - padding), part = 1 << 20;
         for (let at = 0; at < text.length; at += part) {
             const binary = atob(text.slice(at, at + part));
             for (let i = 0; i < binary.length; ++i) bytes[at / 4 * 3 + i] = binary.charCodeAt(i);
-            this.say(`${name}: unpacking, ${Math.floor(100 * at / text.length)} %`);
+            this.say(`Unpacking, ${Math.floor(100 * at / text.length)} %`);
             await new Promise(requestAnimationFrame);
         }
         inlined.remove();
@@ -261,7 +260,6 @@ class Page {
         this.worker.postMessage({ sort: this.current, view });
     }
 
-    // The Gaussian at a point of the canvas.
     pick(x, y) {
         const { canvas, renderer, scene, camera } = this, scale = renderer.frame.width / canvas.clientWidth;
         return renderer.pick(scene?.drawable, camera, Math.floor(x * scale), Math.floor(y * scale));

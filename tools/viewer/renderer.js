@@ -23,7 +23,7 @@ const PROJECT_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
-uniform usampler2D order; // the highest bit marks those of the object
+uniform usampler2D order; // the highest bit marks an object
 uniform uint drawn;
 uniform usampler2D gaussians; // 3 texels each: mean and opacity; scale and q.wx; color and q.yz
 uniform usampler2D harmonics;
@@ -34,7 +34,7 @@ uniform float near;
 uniform bool antialiased;
 uniform int degree, show, hovered; // the token that is pointed at; -1: none
 uniform uint group; // Gaussians of a token
-uniform int volume; // marked centers: 0 none, 1 in a box, 2 in an ellipsoid, 3 of the object
+uniform int volume; // marked centers: 0 none, 1 in a box, 2 in an ellipsoid, 3 by the order
 uniform vec3 middle, reach; // of the volume: center and half its size
 layout(location = 0) out uvec4 ellipse;
 layout(location = 1) out uvec4 short_axis;
@@ -135,7 +135,7 @@ void main() {
     else value = max(degree > 0 ? value + bands(index, normalize(offset)) : value, 0.0);
     vec3 place = abs(uintBitsToFloat(first.xyz) - middle) / reach;
     bool marked = volume == 1 ? max(max(place.x, place.y), place.z) <= 1.0 : volume == 2 ? dot(place, place) <= 1.0 : volume == 3 && entry != index;
-    if (marked && show == 0) value = mix(value, vec3(1.0, 0.2, 0.7), 0.3);
+    if (marked && show == 0) value = mix(value, vec3(1.0, 0.2, 0.7), volume == 3 ? 0.5 : 0.3);
     color = floatBitsToUint(vec4(value, 0));
 }`;
 
@@ -338,7 +338,7 @@ class Renderer {
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, frame.texture, 0);
     }
 
-    // `view`: mode (see SHOWN), Gaussians per token, hovered token, depth range, marked volume or object.
+    // `view`: mode (see SHOWN), Gaussians per token, hovered token, depth range, marked volume.
     draw(scene, camera, background, view = {}) {
         const { gl, frame, show } = this, { width, height } = frame, { shown = "color", range = [0, 1] } = view;
         if (scene?.drawn) this.project(scene, camera, view);

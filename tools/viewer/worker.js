@@ -4,8 +4,7 @@
 //   { load, bytes, name, view, whole, features }: the view's line of sight and eye are optional,
 //     and so are the features: channels, and signed bytes of Gaussians or of groups
 //   { sort, view }
-//   { edit, act, volume }: acts are "keep" and "delete" a volume or an object, and "undo"; none
-//     only counts
+//   { edit, act, volume }: acts are "keep" and "delete" a volume, and "undo"; none only counts
 //   { save, file, name, kind }
 // Out:
 //   { load, progress } or { load, failed } with a message
@@ -17,7 +16,7 @@
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
-const NEIGHBORS = 8; // through which an object spreads, as `zipsplat select` has it
+const NEIGHBORS = 8; // that an object spreads through, as `zipsplat select`
 const scenes = new Map();
 const INVALID = 0xffff; // number of the edit that removes Gaussians with values that are not finite
 
@@ -86,91 +85,75 @@ async function load({ load: id, bytes, name, view, whole, features }) {
     postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
-// Makes a k-d tree of `order`: the middle of a range splits it along an axis.
-function split(means, order, from, to, axis) {
+// Makes a k-d tree: the middle of a range splits it along an axis.
+function split(means, tree, from, to, axis) {
     if (to - from < 2) return;
-    const middle = from + to >> 1, at = k => means[3 * order[k] + axis];
+    const middle = from + to >> 1, next = (axis + 1) % 3, at = k => means[3 * tree[k] + axis];
     for (let low = from, high = to - 1; low < high;) {
         let i = low, j = high;
-        for (const pivot = at(low + high >> 1); i <= j;) {
+        for (const pivot = at(middle); i <= j;) {
             while (at(i) < pivot) ++i;
             while (at(j) > pivot) --j;
-            if (i <= j) [order[i++], order[j--]] = [order[j], order[i]];
+            if (i <= j) [tree[i++], tree[j--]] = [tree[j], tree[i]];
         }
-        if (middle <= j) high = j;
-        else if (middle >= i) low = i;
-        else break;
+        if (j < middle) low = i;
+        if (i > middle) high = j;
     }
-    split(means, order, from, middle, (axis + 1) % 3);
-    split(means, order, middle + 1, to, (axis + 1) % 3);
+    split(means, tree, from, middle, next);
+    split(means, tree, middle + 1, to, next);
 }
 
-// Of a Gaussian, itself included; searched once.
-function neighbors(scene, i) {
-    const { means, count } = scene, all = NEIGHBORS + 1;
-    if (!scene.tree) {
-        split(means, scene.tree = new Uint32Array(count).map((_, i) => i), 0, count, 0);
-        scene.neighbors = new Uint32Array(all * count);
-    }
-    const { tree } = scene, row = scene.neighbors.subarray(all * i, all * i + all);
-    if (row[0] !== row[1]) return row;
-    const apart = new Float64Array(all).fill(Infinity), [x, y, z] = means.subarray(3 * i, 3 * i + 3);
+// The nearest Gaussians, itself included.
+function neighbors({ means, tree }, i) {
+    const row = new Uint32Array(NEIGHBORS + 1).fill(i), apart = new Float64Array(row.length).fill(Infinity), [x, y, z] = means.subarray(3 * i, 3 * i + 3);
     const visit = (from, to, axis) => {
         if (from >= to) return;
-        const middle = from + to >> 1, other = tree[middle], next = (axis + 1) % 3, along = means[3 * i + axis] - means[3 * other + axis];
-        const squared = (x - means[3 * other]) ** 2 + (y - means[3 * other + 1]) ** 2 + (z - means[3 * other + 2]) ** 2;
+        const middle = from + to >> 1, at = 3 * tree[middle], along = means[3 * i + axis] - means[at + axis], below = along < 0, next = (axis + 1) % 3;
+        const squared = (x - means[at]) ** 2 + (y - means[at + 1]) ** 2 + (z - means[at + 2]) ** 2;
         if (squared < apart[NEIGHBORS]) {
             let k = NEIGHBORS;
             for (; k && apart[k - 1] > squared; --k) apart[k] = apart[k - 1], row[k] = row[k - 1];
             apart[k] = squared;
-            row[k] = other;
+            row[k] = tree[middle];
         }
-        const below = along < 0;
         visit(below ? from : middle + 1, below ? middle : to, next);
         if (along ** 2 < apart[NEIGHBORS]) visit(below ? middle + 1 : from, below ? to : middle, next);
     };
-    row.fill(i);
-    visit(0, count, 0);
+    visit(0, tree.length, 0);
     return row;
 }
 
-// Marks the Gaussians that neighbors connect with a seed: features of each have at least a cosine
-// similarity with the seeds' mean. Zeros have none.
+// Marks with 1 the Gaussians like the seeds' mean that neighbors of the kind connect with a seed.
 function object(scene, { seeds, least }) {
-    const { count, gone, features: { values, channels } } = scene, group = count * channels / values.length;
-    const marks = new Uint8Array(count), mean = new Float64Array(channels), row = i => channels * Math.floor(i / group);
+    const { means, count, gone, features: { values, channels } } = scene, marks = new Uint8Array(count), open = [];
+    const mean = new Float64Array(channels), near = scene.neighbors ??= new Array(count), row = i => channels * Math.floor(i * values.length / channels / count);
     const product = (at, other, from) => {
         let sum = 0;
         for (let c = 0; c < channels; ++c) sum += values[at + c] * other[from + c];
         return sum;
     };
     const size = at => Math.sqrt(product(at, values, at));
+    const reach = i => marks[i] ||= !gone[i] && product(row(i), mean, 0) / size(row(i)) >= least * length && open.push(i) ? 1 : 2;
+    if (!scene.tree) split(means, scene.tree = new Uint32Array(count).map((_, i) => i), 0, count, 0);
     for (const at of seeds.map(row)) mean.forEach((_, c) => mean[c] += values[at + c] / (size(at) || 1));
-    const length = Math.hypot(...mean), open = [];
-    const reach = i => {
-        if (marks[i] || gone[i] || !(product(row(i), mean, 0) / length / size(row(i)) >= least)) return;
-        marks[i] = 1;
-        open.push(i);
-    };
+    const length = Math.hypot(...mean);
     seeds.forEach(reach);
-    while (open.length) neighbors(scene, open.pop()).forEach(reach);
+    for (let i; (i = open.pop()) !== undefined;) (near[i] ??= neighbors(scene, i)).forEach(reach);
     return marks;
 }
 
-// Test of Gaussians, by number: in an object, or in a box, or an ellipsoid if `round`, by its center
-// and half its size.
+// Whether a volume has a Gaussian: an object by its seeds; a box, or an ellipsoid if `round`, by its
+// center and half its size.
 function within(scene, volume) {
-    if (!volume) return () => false;
     const { means } = scene, { center, half, round } = volume, marks = volume.seeds && (scene.marks = object(scene, volume));
-    if (marks) return i => marks[i] === 1;
-    return i => {
+    return marks ? i => marks[i] === 1 : i => {
         const x = (means[3 * i] - center[0]) / half[0], y = (means[3 * i + 1] - center[1]) / half[1], z = (means[3 * i + 2] - center[2]) / half[2];
         return round ? x * x + y * y + z * z <= 1 : Math.max(Math.abs(x), Math.abs(y), Math.abs(z)) <= 1;
     };
 }
 
 function counts(scene, volume) {
-    const { opacities, gone, edits } = scene, holds = within(scene, volume);
+    const { opacities, gone, edits } = scene, holds = volume ? within(scene, volume) : () => false;
     let count = 0, faint = 0, inside = 0;
     for (let i = 0; i < gone.length; ++i) {
         if (gone[i]) continue;
@@ -206,7 +189,7 @@ async function save({ gone }, file, name, kind) {
 const digits = [new Uint32Array(65536), new Uint32Array(65536)];
 
 // Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits. The
-// highest bit says that the object has it.
+// highest bit marks the object.
 function sorted({ means, count, opacities, near, gone, marks, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = digits;
     low.fill(0);
@@ -223,7 +206,7 @@ function sorted({ means, count, opacities, near, gone, marks, depths, indices },
     for (const digit of digits) for (let i = 0, sum = 0; i < 65536; ++i) sum += digit[i], digit[i] = sum - digit[i];
     for (let i = 0; i < count; ++i) if (depths[i] >= near) indices[low[bits[i] & 0xffff]++] = i;
     const order = new Uint32Array(seen);
-    for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k] | marks?.[indices[k]] << 31;
+    for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k] | (marks?.[indices[k]] === 1) << 31;
     return order;
 }
 

@@ -4,12 +4,15 @@ use super::{InputCamera, ShownFeatures};
 use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::io::{Result, Write};
+use std::{
+    io::{Result, Write},
+    sync::LazyLock,
+};
 use zipsplat::types::SkippedPass;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
-const SCRIPT: &str = concat!(
+static SCRIPT: LazyLock<String> = LazyLock::new(|| packed(concat!(
     include_str!("../../viewer/camera.js"),
     include_str!("../../viewer/controls.js"),
     include_str!("../../viewer/renderer.js"),
@@ -21,13 +24,13 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/refining.js"),
     include_str!("../../viewer/edit.js"),
     include_str!("../../viewer/page.js"),
-);
-const WORKER: &str = concat!(
+)));
+static WORKER: LazyLock<String> = LazyLock::new(|| packed(concat!(
     include_str!("../../viewer/zstd.js"),
     include_str!("../../viewer/formats.js"),
     include_str!("../../viewer/writers.js"),
     include_str!("../../viewer/worker.js")
-);
+)));
 
 #[derive(Default, Serialize)]
 pub struct Config {
@@ -122,9 +125,15 @@ fn write_bytes(out: &mut dyn Write, id: &str, bytes: &[u8]) -> Result<()> {
     out.write_all(b"</script>\n")
 }
 
+/// Drops indentation and lines of comments.
+fn packed(script: &str) -> String {
+    let lines = script.lines().map(str::trim_start).filter(|line| !line.starts_with("//"));
+    lines.flat_map(|line| [line, "\n"]).collect()
+}
+
 /// Allows only the page's script and these requests.
 fn policy(requests: Requests) -> String {
-    let script = BASE64_STANDARD.encode(Sha256::digest(SCRIPT));
+    let script = BASE64_STANDARD.encode(Sha256::digest(&**SCRIPT));
     let (connect, image) = match requests {
         Requests::None => ("'none'", ""),
         Requests::Server => ("'self'", " 'self'"),
