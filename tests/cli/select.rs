@@ -5,7 +5,7 @@ use zipsplat_tests::{architectures, scenes};
 const SIZE: u32 = 64;
 
 /// Two objects of 100 Gaussians, left and right, in front of two cameras.
-fn objects(folder: &Folder) -> Scene {
+pub fn objects(folder: &Folder) -> Scene {
     let mut scene = scenes::random_scene(200, 0, 0.2);
     for (i, mean) in scene.means.iter_mut().enumerate() {
         let side = if i < 100 { -1.0 } else { 1.0 };
@@ -25,7 +25,7 @@ fn objects(folder: &Folder) -> Scene {
 }
 
 /// A picture whose left part has one value, and the rest another.
-fn picture(folder: &Folder, name: &str, [left, right]: [u8; 2]) {
+pub fn picture(folder: &Folder, name: &str, [left, right]: [u8; 2]) {
     let path = folder.path(name);
     std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
     let value = |x, _| image::Luma([if x < SIZE / 2 { left } else { right }]);

@@ -1,4 +1,4 @@
-use crate::{Folder, Outcome, command};
+use crate::{Folder, Outcome, command, select};
 use base64::{Engine, prelude::BASE64_STANDARD};
 use sha2::{Digest, Sha256};
 use std::{
@@ -116,6 +116,61 @@ fn photos_become_scenes_of_several_ratios() {
     assert_eq!(scene_within(&page, 2).len(), 16);
     assert_eq!(view("--ratios 0.5,1,0.51 --json").json()["gaussians"], serde_json::json!([64, 32]));
     assert_eq!(view("--ratios 0.5 --max-gaussians-per-token 2 --json").json()["gaussians"], serde_json::json!([16]));
+}
+
+/// Least and largest cosine similarity of signed rows, within the first half and across.
+fn similarities(rows: &[&[u8]]) -> [[f64; 2]; 2] {
+    let dot = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| f64::from(*a as i8) * f64::from(*b as i8)).sum::<f64>();
+    let cosine = |a: &[u8], b: &[u8]| dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();
+    let (left, right) = rows.split_at(rows.len() / 2);
+    [left, right].map(|others| {
+        let all = || left.iter().flat_map(|row| others.iter().map(|other| cosine(row, other)));
+        [all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)]
+    })
+}
+
+#[test]
+fn a_page_has_the_features_that_it_is_given() {
+    let folder = folder();
+    let scene = select::objects(&folder);
+    select::picture(&folder, "labels/a.png", [18, 2]);
+    select::picture(&folder, "labels/b.png", [18, 2]);
+    // More channels than a page has.
+    folder
+        .run("lift @/scene.ply @/labels --labels 20 --cameras @/cameras.json -o @/labels.safetensors")
+        .success();
+    let page = |options: &str| {
+        folder.run(&format!("view @/scene.ply {options} -o @/page.html --overwrite")).success();
+        folder.text("page.html")
+    };
+    let [without, with] = ["", "--features @/labels.safetensors"].map(page);
+    let features = "<script id=features-0 type=application/octet-stream>";
+    assert!(!without.contains(features) && !without.contains("\"features\":"));
+    assert!(with.contains("\"features\":{\"channels\":16}"));
+    let bytes = base64(between(&with, features, "</script>"));
+    assert_eq!((bytes.len(), with.len() - without.len() > 200 * 16), (200 * 16, true));
+    let [within, across] = similarities(&bytes.chunks(16).collect::<Vec<_>>());
+    assert!(within[0] > 0.99 && across[1].abs() < 0.01, "{within:?} {across:?}");
+
+    // A server sorts.
+    served(&folder.line("zipsplat view @/scene.ply --features @/labels.safetensors"), |port, path| {
+        let get = |asked: &str| ask(port, &format!("GET {path}{asked} HTTP/1.1\r\nHost: 127.0.0.1:{port}"));
+        let sources = scene.edit(&[Edit::Sort], &[]).expect("a scene").sources;
+        let sorted: Vec<u8> = sources.iter().flat_map(|i| &bytes[i * 16..][..16]).copied().collect();
+        assert_ne!(sorted, bytes);
+        assert!(get("features/0") == (200, sorted));
+        assert_eq!(get("features/1").0, 404);
+    });
+    served(&folder.line("zipsplat view @/scene.ply"), |port, path| {
+        assert_eq!(ask(port, &format!("GET {path}features/0 HTTP/1.1\r\nHost: 127.0.0.1:{port}")).0, 404);
+    });
+
+    folder.scatter("other.ply", 200, 3, 0.1);
+    let refused = |line: &str, words: &[&str]| folder.run(&format!("view {line} -o @/none.html")).fails(3, words);
+    refused("@/other.ply --features @/labels.safetensors", &["labels.safetensors", "features of scene"]);
+    refused("@/scene.ply @/other.ply --features @/labels.safetensors", &["--features", "1 file", "2 scenes"]);
+    refused("@/photos --features @/labels.safetensors", &["--features", "a scene's file"]);
+    assert!(!folder.path("none.html").exists());
 }
 
 #[test]

@@ -1,20 +1,41 @@
 import assert from "node:assert/strict";
-import { readFileSync, writeFileSync } from "node:fs";
+import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { before, test } from "node:test";
 import { gunzipSync } from "node:zlib";
-import { at, psnr, randomPly, sleep, written, zipsplat } from "./browser.mjs";
+import { PNG } from "pngjs";
+import { Tab, at, psnr, randomPly, serve, sleep, written, zipsplat } from "./browser.mjs";
 
 const COUNT = 3000;
 const DESKTOP = { width: 1280, height: 800 };
 const PHONE = { width: 390, height: 844, hasTouch: true, isMobile: true, deviceScaleFactor: 2 };
+// Gaussians of three objects side by side, and their labels.
+const OBJECTS = [[60, 1], [30, 1], [40, 2]];
 const SIZES = [["desktop", DESKTOP], ["phone", PHONE]];
 
 before(() => {
     writeFileSync(at("random.ply"), randomPly(COUNT));
     zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place", "--splats");
     zipsplat("convert", "random.ply", "one.spz");
+    placeObjects();
     zipsplat("convert", "random.ply", "one.sog", "--antialiased");
 });
+
+// Writes objects.ply at x -1, 0 and 1 behind a camera, and labels of its picture as features.
+function placeObjects() {
+    const bytes = randomPly(130, [-3, -3], [-2, 0], 0.2), start = bytes.length - 4 * 59 * 130;
+    for (let i = 0, row = start; row < bytes.length; ++i, row += 4 * 59) {
+        bytes.writeFloatLE(bytes.readFloatLE(row) + (i < 60 ? -1 : i < 90 ? 0 : 1), row);
+        bytes.writeFloatLE(bytes.readFloatLE(row + 8) + 3, row + 8);
+    }
+    writeFileSync(at("objects.ply"), bytes);
+    const labels = new PNG({ width: 64, height: 64, colorType: 0 });
+    for (let i = 0; i < 4096; ++i) labels.data.fill(i % 64 > 41 ? 2 : 1, 4 * i, 4 * i + 3), labels.data[4 * i + 3] = 255;
+    mkdirSync(at("labels"));
+    writeFileSync(at("labels/a.png"), PNG.sync.write(labels, { colorType: 0 }));
+    const frame = { file_path: "a.png", transform_matrix: [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]] };
+    writeFileSync(at("cameras.json"), JSON.stringify({ fl_x: 64, fl_y: 64, cx: 32, cy: 32, w: 64, h: 64, frames: [frame] }));
+    zipsplat("lift", "objects.ply", "labels", "--labels", "3", "--cameras", "cameras.json", "-o", "labels.safetensors");
+}
 
 const state = tab => tab.run(() => {
     const { edit: { volume }, scene } = zipsplat;
@@ -116,6 +137,63 @@ for (const [name, viewport] of SIZES)
         assert.ok((await tab.picture()).data.equals(whole.data), "undone");
         assert.ok(await tab.page.$eval("#undo", element => element.disabled));
         await tab.close();
+    });
+
+for (const [name, viewport] of SIZES)
+    test(`clicks select objects by their features, ${name}`, async () => {
+        const options = ["objects.ply", "--features", "labels.safetensors"], server = viewport.hasTouch && await serve("view", ...options);
+        const tab = server ? await Tab.open(server.address, viewport) : await written(options, viewport), { mouse, touchscreen } = tab.page;
+        await tab.settled();
+        await tab.press("edit-button");
+        await tab.slide("volume", "object");
+        const inside = async () => Number((await counted(tab)).inside.split(" ")[0]), place = x => tab.run(x => zipsplat.overlay.project([x, 0, 3.5]), x);
+        const click = async x => {
+            await tab.settled();
+            await (viewport.hasTouch ? touchscreen.tap(...await place(x)) : mouse.click(...await place(x)));
+            return inside();
+        };
+        assert.equal(await inside(), 0);
+        const plain = await tab.picture();
+        assert.equal(await click(-1), OBJECTS[0][0], "not the other with its label");
+        const tinted = await tab.picture(), columns = new Set();
+        for (let i = 0; i < plain.data.length; ++i) if (plain.data[i] !== tinted.data[i]) columns.add(Math.floor(i / 4) % plain.width);
+        assert.ok(columns.size > 0 && Math.max(...columns) < (await place(-0.5))[0] * plain.width / viewport.width, "only it is tinted");
+        await tab.screenshot(`object-${name}`);
+
+        const eye = () => tab.run(() => zipsplat.camera.eye), from = await eye(), [x, y] = await place(1);
+        const finger = viewport.hasTouch && await touchscreen.touchStart(x, y);
+        if (!finger) await mouse.move(x, y), await mouse.down();
+        await (finger ?? mouse).move(x + 30, y);
+        await (finger ? finger.end() : mouse.up());
+        assert.notDeepEqual(await eye(), from, "a drag turns");
+        assert.equal(await inside(), OBJECTS[0][0], "and selects nothing");
+
+        if (viewport.hasTouch) await tab.press("add");
+        else await tab.page.keyboard.down("Shift");
+        assert.equal(await click(0), OBJECTS[0][0] + OBJECTS[1][0], "another of its kind is added");
+        await click(1);
+        assert.ok(await inside() < 130, "features unlike their mean are not inside");
+        await tab.slide("least", 0.3);
+        assert.equal(await inside(), 130);
+        if (viewport.hasTouch) await tab.press("add");
+        else await tab.page.keyboard.up("Shift");
+        assert.equal(await click(-0.5), 0, "the background clears");
+        assert.equal(await click(1), OBJECTS[2][0]);
+
+        await tab.press("delete");
+        assert.equal((await counted(tab)).count, 90);
+        await tab.screenshot(`object-deleted-${name}`);
+        writeFileSync(at("saved.ply"), (await tab.saved("save-scene"))[1]);
+        assert.equal(JSON.parse(zipsplat("convert", "saved.ply", "--json")).result.gaussians, 90);
+        await tab.press("undo");
+        assert.deepEqual([(await counted(tab)).count, await inside()], [130, OBJECTS[2][0]]);
+        await tab.press("keep");
+        assert.equal((await counted(tab)).count, OBJECTS[2][0]);
+        await tab.drop("random.ply", readFileSync(at("random.ply")));
+        await tab.settled();
+        assert.deepEqual(await tab.run(() => [...["object", "likeness", "fit"].map(id => document.getElementById(id).hidden), zipsplat.edit.picks]), [true, true, false, false]);
+        await tab.close();
+        await server?.stop?.();
     });
 
 test("edited scenes are saved as PLY and SPZ", async () => {

@@ -5,6 +5,7 @@ use crate::{
     npy,
     options::{ArithmeticOption, Size, Weights},
     session::Session,
+    table::counted,
     views::Crop,
 };
 use clap::Args;
@@ -178,6 +179,15 @@ pub fn save(path: &Path, lifted: &Lifted, scene: &Scene) -> Result<()> {
     let bytes = safetensors::serialize(tensors, Some(metadata))
         .map_err(|error| Error::format(path, None, error.to_string()))?;
     write_atomic(path, |out| out.write_all(&bytes))
+}
+
+/// Checks that every scene has features, or none.
+pub fn check_count(features: &[PathBuf], scenes: &[PathBuf]) -> Result<()> {
+    if features.is_empty() || features.len() == scenes.len() {
+        return Ok(());
+    }
+    let expected = format!("one for each of {}", counted(scenes.len(), "scene"));
+    Err(Error::argument("--features", counted(features.len(), "file"), expected))
 }
 
 /// Reads features of a scene.

@@ -1,4 +1,5 @@
-// Crop and deletion by a box or sphere that is dragged by its handles; undo; saving.
+// Crop and deletion by a box or sphere that is dragged by its handles, or of a clicked object; undo;
+// saving.
 
 const REACH = 22; // pixels from a handle's center
 const AXES = ["#f66", "#6d6", "#69f"];
@@ -7,10 +8,11 @@ const LEAST_SLOPE = 0.3; // limits the speed of handles that move along the line
 
 class Edit {
     constructor(page) {
-        Object.assign(this, { page, volume: null, dragged: null });
+        Object.assign(this, { page, volume: null, object: { seeds: [] }, dragged: null });
         const { canvas } = page;
         element("volume").onchange = () => this.reshape();
         element("fit").onclick = () => this.fit();
+        element("least").oninput = () => this.reshape();
         for (const act of ["keep", "delete", "undo"]) element(act).onclick = () => this.ask(act);
         element("save-scene").onclick = () => this.save();
         // Before the camera's controls.
@@ -18,6 +20,7 @@ class Edit {
         canvas.addEventListener("pointermove", event => this.drag(event), true);
         for (const name of ["pointerup", "pointercancel"])
             canvas.addEventListener(name, event => this.dragged?.id === event.pointerId && (this.dragged = null), true);
+        canvas.addEventListener("click", event => this.click(event));
         addEventListener("keydown", event => {
             const act = event.code === "Delete" ? "delete" : event.code === "KeyZ" && (event.ctrlKey || event.metaKey) && "undo";
             if (!act || !this.shown) return;
@@ -31,18 +34,26 @@ class Edit {
     // A part of a scene that is still arriving is not edited.
     get ready() { return Boolean(this.page.scene?.drawable) && !this.page.scene.partial; }
 
-    // For the shader, while it is shown.
-    get marked() { return this.shown ? this.volume : null; }
+    // Whether clicks select an object.
+    get picks() { return this.shown && element("object").selected; }
+
+    // While it is shown.
+    get marked() { return this.picks ? this.object : this.shown ? this.volume : null; }
 
     // After a change of the scene or the panel.
     enter() {
         const { scene } = this.page;
         element("save-scene").disabled = !this.ready || Boolean(this.saved);
         if (!this.ready) return;
-        if (scene !== this.scene) element("kind").value = /\.spz$/i.test(scene.file?.name ?? scene.extension) ? "spz" : "ply";
+        if (scene !== this.scene) {
+            element("kind").value = /\.spz$/i.test(scene.file?.name ?? scene.extension) ? "spz" : "ply";
+            element("object").hidden = element("object").disabled = !scene.features;
+            if (!scene.features && element("object").selected) element("volume").value = "box";
+            this.object.seeds = [];
+        }
         this.scene = scene;
         if (!this.shown) return;
-        this.volume ? this.ask() : this.fit();
+        this.volume ? this.reshape() : this.fit();
     }
 
     // Around most centers, in view.
@@ -67,7 +78,10 @@ class Edit {
     }
 
     reshape() {
-        const round = element("volume").value === "sphere", { volume } = this;
+        const { volume, picks } = this, round = element("volume").value === "sphere";
+        element("fit").hidden = picks;
+        element("likeness").hidden = !picks;
+        this.object.least = Number(element("least-value").textContent = element("least").value);
         if (round && !volume.round) volume.half.fill([...volume.half].sort((a, b) => a - b)[1]);
         volume.round = round;
         this.moved();
@@ -80,7 +94,7 @@ class Edit {
 
     // Counts, and edits if `act` is given. The latest count waits for the answer to the one before.
     ask(act) {
-        const { page, volume } = this;
+        const { page, marked: volume } = this;
         if (!act && this.waits) return void (this.again = true);
         this.waits = true;
         page.worker.postMessage({ edit: page.current, act, volume });
@@ -89,13 +103,15 @@ class Edit {
     answered({ edit, count, faint, inside, edits, sample }) {
         const { page } = this, scene = page.scenes[edit], changed = edits !== scene.edits;
         Object.assign(scene, { count, faint, edits, sample: sample ?? scene.sample });
-        if (changed) scene.sortedFor = page.overlay.compared = null;
+        if (changed) page.overlay.compared = null;
+        if (changed || this.picks) scene.sortedFor = null;
         if (scene === page.scene) {
             element("inside").textContent = `${inside.toLocaleString("en")} of ${counted(count, "Gaussian")} inside`;
             element("keep").disabled = element("delete").disabled = inside === 0 || inside === count;
             element("undo").disabled = !edits;
         }
-        if (changed) page.label(), page.change();
+        if (changed) page.label();
+        page.change();
         this.waits = false;
         if (this.again) this.again = false, this.ask();
     }
@@ -127,10 +143,18 @@ class Edit {
     }
 
     nearest(x, y) {
-        if (!this.shown) return null;
+        if (!this.shown || this.picks) return null;
         const apart = ({ seen }) => seen ? Math.hypot(seen[0] - x, seen[1] - y) : Infinity;
         const handle = this.handles().reduce((best, handle) => apart(handle) < apart(best) ? handle : best);
         return apart(handle) < REACH ? handle : null;
+    }
+
+    // A click on the background clears the selection.
+    click(event) {
+        if (!this.picks || this.page.overlay.dragged(event)) return;
+        const found = this.page.pick(event.clientX, event.clientY), added = event.shiftKey || element("add").checked;
+        this.object.seeds = [...added ? this.object.seeds : [], ...found === null ? [] : [found]];
+        this.moved();
     }
 
     grab(event) {
@@ -164,7 +188,7 @@ class Edit {
     }
 
     draw(context) {
-        if (!this.shown) return;
+        if (!this.shown || this.picks) return;
         const { volume: { center, half, round }, page: { overlay } } = this;
         const corner = signs => center.map((value, i) => value + signs[i] * half[i]);
         context.lineWidth = 1.5;

@@ -92,9 +92,12 @@ class Overlay {
         context.lineTo(...to);
     }
 
-    pick({ clientX, clientY }) {
-        const moved = Math.hypot(clientX - this.pressed?.[0], clientY - this.pressed?.[1]) > 4;
-        if (!this.shown || moved) return;
+    // Whether a click ends a drag.
+    dragged({ clientX, clientY }) { return Math.hypot(clientX - this.pressed?.[0], clientY - this.pressed?.[1]) > 4; }
+
+    pick(event) {
+        if (!this.shown || this.page.edit.picks || this.dragged(event)) return;
+        const { clientX, clientY } = event;
         const apart = config.cameras.map(camera => {
             const points = this.frustum(camera).map(point => this.project(point)).filter(Boolean);
             return Math.min(...points.map(([x, y]) => Math.hypot(x - clientX, y - clientY)));

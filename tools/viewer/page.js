@@ -71,17 +71,22 @@ class Page {
         try {
             const bytes = await this.bytes(scene, index);
             scene.bytes ??= bytes.byteLength;
-            this.read(index, bytes);
+            this.read(index, bytes, true, scene.features && { ...scene.features, values: await this.features(index) });
         } catch (error) {
             this.failed(index, error.message);
         }
     }
 
+    async features(index) {
+        const inlined = element(`features-${index}`);
+        return new Int8Array(await (inlined ? this.unpacked(inlined) : (await asked(`features/${index}`)).arrayBuffer()));
+    }
+
     // With any view for the first depth order.
-    read(index, bytes, whole = true) {
+    read(index, bytes, whole = true, features) {
         const scene = this.scenes[index], view = this.home && this.view();
         if (whole && !scene.file) scene.blob = new Blob([bytes]);
-        this.worker.postMessage({ load: index, bytes, name: scene.name, view, whole }, [bytes]);
+        this.worker.postMessage({ load: index, bytes, name: scene.name, view, whole, features }, [bytes]);
     }
 
     // Resolves when the new scene is shown.
@@ -100,17 +105,9 @@ class Page {
         if (scene.file) return scene.file.arrayBuffer();
         const { inlined } = scene;
         if (inlined) {
-            const text = inlined.textContent, padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
-            const bytes = new Uint8Array(text.length / 4 * 3 - padding), part = 1 << 20;
-            for (let at = 0; at < text.length; at += part) {
-                const binary = atob(text.slice(at, at + part));
-                for (let i = 0; i < binary.length; ++i) bytes[at / 4 * 3 + i] = binary.charCodeAt(i);
-                this.say(`${scene.name}: unpacking, ${Math.floor(100 * at / text.length)} %`);
-                await new Promise(requestAnimationFrame);
-            }
-            inlined.remove();
-            if (bytes[0] === 0x1f) scene.extension = ".spz";
-            return bytes.buffer;
+            const bytes = await this.unpacked(inlined);
+            if (new Uint8Array(bytes)[0] === 0x1f) scene.extension = ".spz";
+            return bytes;
         }
         const answer = await asked(scene.source);
         const all = Number(answer.headers.get("Content-Length")), parts = [];
@@ -126,6 +123,19 @@ class Page {
             }
         }
         return new Blob(parts).arrayBuffer();
+    }
+
+    async unpacked(inlined) {
+        const text = inlined.textContent, padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
+        const bytes = new Uint8Array(text.length / 4 * 3 - padding), part = 1 << 20;
+        for (let at = 0; at < text.length; at += part) {
+            const binary = atob(text.slice(at, at + part));
+            for (let i = 0; i < binary.length; ++i) bytes[at / 4 * 3 + i] = binary.charCodeAt(i);
+            this.say(`Unpacking, ${Math.floor(100 * at / text.length)} %`);
+            await new Promise(requestAnimationFrame);
+        }
+        inlined.remove();
+        return bytes.buffer;
     }
 
     // In the middle until there is a picture.
@@ -248,6 +258,11 @@ class Page {
         scene.sorting = performance.now();
         scene.sortedFor = view;
         this.worker.postMessage({ sort: this.current, view });
+    }
+
+    pick(x, y) {
+        const { canvas, renderer, scene, camera } = this, scale = renderer.frame.width / canvas.clientWidth;
+        return renderer.pick(scene?.drawable, camera, Math.floor(x * scale), Math.floor(y * scale));
     }
 
     view() { return [...this.camera.axes[2], ...this.camera.eye]; }

@@ -23,7 +23,7 @@ const PROJECT_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
-uniform usampler2D order;
+uniform usampler2D order; // the highest bit marks an object
 uniform uint drawn;
 uniform usampler2D gaussians; // 3 texels each: mean and opacity; scale and q.wx; color and q.yz
 uniform usampler2D harmonics;
@@ -34,7 +34,7 @@ uniform float near;
 uniform bool antialiased;
 uniform int degree, show, hovered; // the token that is pointed at; -1: none
 uniform uint group; // Gaussians of a token
-uniform int volume; // marked centers: 0 none, 1 in a box, 2 in an ellipsoid
+uniform int volume; // marked centers: 0 none, 1 in a box, 2 in an ellipsoid, 3 by the order
 uniform vec3 middle, reach; // of the volume: center and half its size
 layout(location = 0) out uvec4 ellipse;
 layout(location = 1) out uvec4 short_axis;
@@ -99,7 +99,7 @@ void main() {
     ellipse = short_axis = color = uvec4(0);
     uint slot = uint(gl_FragCoord.y) * ${TEXTURE_WIDTH}u + uint(gl_FragCoord.x);
     if (slot >= drawn) return;
-    uint index = texel(order, slot).x;
+    uint entry = texel(order, slot).x, index = entry & 0x7fffffffu;
     uvec4 first = texel(gaussians, 3u * index), second = texel(gaussians, 3u * index + 1u), third = texel(gaussians, 3u * index + 2u);
     vec3 offset = uintBitsToFloat(first.xyz) - eye, p = view * offset;
     float opacity = uintBitsToFloat(first.w);
@@ -134,8 +134,8 @@ void main() {
     else if (show == 3) value = uint(hovered) == index / group ? vec3(1) : token_color(index / group) * (hovered < 0 ? 1.0 : 0.45);
     else value = max(degree > 0 ? value + bands(index, normalize(offset)) : value, 0.0);
     vec3 place = abs(uintBitsToFloat(first.xyz) - middle) / reach;
-    bool marked = volume == 1 ? max(max(place.x, place.y), place.z) <= 1.0 : volume == 2 && dot(place, place) <= 1.0;
-    if (marked && show == 0) value = mix(value, vec3(1.0, 0.2, 0.7), 0.3);
+    bool marked = volume == 1 ? max(max(place.x, place.y), place.z) <= 1.0 : volume == 2 ? dot(place, place) <= 1.0 : volume == 3 && entry != index;
+    if (marked && show == 0) value = mix(value, vec3(1.0, 0.2, 0.7), volume == 3 ? 0.5 : 0.3);
     color = floatBitsToUint(vec4(value, 0));
 }`;
 
@@ -380,8 +380,8 @@ class Renderer {
         gl.uniform1i(uniforms.show, SHOWN[shown]);
         gl.uniform1ui(uniforms.group, group);
         gl.uniform1i(uniforms.hovered, hovered);
-        gl.uniform1i(uniforms.volume, volume ? 1 + volume.round : 0);
-        if (volume) gl.uniform3fv(uniforms.middle, volume.center), gl.uniform3fv(uniforms.reach, volume.half);
+        gl.uniform1i(uniforms.volume, volume?.seeds ? 3 : volume ? 1 + volume.round : 0);
+        if (volume?.center) gl.uniform3fv(uniforms.middle, volume.center), gl.uniform3fv(uniforms.reach, volume.half);
         gl.uniform1ui(uniforms.drawn, scene.drawn);
         gl.bindFramebuffer(gl.FRAMEBUFFER, scene.projection);
         gl.viewport(0, 0, TEXTURE_WIDTH, Math.ceil(scene.drawn / TEXTURE_WIDTH));

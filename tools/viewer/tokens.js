@@ -28,11 +28,10 @@ class Tokens {
     }
 
     find() {
-        const { page } = this, { canvas, renderer, scene, camera } = page, [x, y] = this.at;
+        const { page, at } = this;
         this.at = null;
         if (page.views.shown !== "tokens" || !this.group) return;
-        const scale = renderer.frame.width / canvas.clientWidth;
-        const found = renderer.pick(scene?.drawable, camera, Math.floor(x * scale), Math.floor(y * scale));
+        const found = page.pick(...at);
         const token = found === null ? -1 : Math.floor(found / this.group);
         if (token === this.hovered) return;
         this.hovered = token;

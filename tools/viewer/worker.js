@@ -1,7 +1,8 @@
 // Reads scenes, packs textures, sorts by depth, deletes and saves.
 //
 // In, with the number of a scene:
-//   { load, bytes, name, view, whole }: the view's line of sight and eye are optional
+//   { load, bytes, name, view, whole, features }: the view's line of sight and eye are optional,
+//     and so are the features: channels, and signed bytes of Gaussians or of groups
 //   { sort, view }
 //   { edit, act, volume }: acts are "keep" and "delete" a volume, and "undo"; none only counts
 //   { save, file, name, kind }
@@ -15,6 +16,7 @@
 
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
+const NEIGHBORS = 8; // that an object spreads through, as `zipsplat select`
 const scenes = new Map();
 const INVALID = 0xffff; // number of the edit that removes Gaussians with values that are not finite
 
@@ -67,7 +69,7 @@ function nearPlane(sample, scales) {
 }
 
 // Sorts and edits take turns with it.
-async function load({ load: id, bytes, name, view, whole }) {
+async function load({ load: id, bytes, name, view, whole, features }) {
     const progress = fraction => {
         if (whole) postMessage({ load: id, progress: fraction });
         return new Promise(resolve => setTimeout(resolve));
@@ -77,41 +79,105 @@ async function load({ load: id, bytes, name, view, whole }) {
     const { gaussians, harmonics, gone, dropped } = await pack(scene, progress), { count, all = count, degree, antialiased, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
     const sample = sampled(scene, gone, count), near = nearPlane(sample, scene.scales);
-    scenes.set(id, { means, count, opacities, near, gone, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
+    scenes.set(id, { means, count, opacities, near, gone, features, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
     const { faint } = counts(scenes.get(id));
     const order = view && sorted(scenes.get(id), view);
     postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
-// A box, or an ellipsoid if `round`, by its center and half its size.
-function within(means, i, { center, half, round }) {
-    const x = (means[3 * i] - center[0]) / half[0], y = (means[3 * i + 1] - center[1]) / half[1], z = (means[3 * i + 2] - center[2]) / half[2];
-    return round ? x * x + y * y + z * z <= 1 : Math.max(Math.abs(x), Math.abs(y), Math.abs(z)) <= 1;
+// Makes a k-d tree: the middle of a range splits it along an axis.
+function split(means, tree, from, to, axis) {
+    if (to - from < 2) return;
+    const middle = from + to >> 1, next = (axis + 1) % 3, at = k => means[3 * tree[k] + axis];
+    for (let low = from, high = to - 1; low < high;) {
+        let i = low, j = high;
+        for (const pivot = at(middle); i <= j;) {
+            while (at(i) < pivot) ++i;
+            while (at(j) > pivot) --j;
+            if (i <= j) [tree[i++], tree[j--]] = [tree[j], tree[i]];
+        }
+        if (j < middle) low = i;
+        if (i > middle) high = j;
+    }
+    split(means, tree, from, middle, next);
+    split(means, tree, middle + 1, to, next);
 }
 
-function counts({ means, opacities, gone, edits }, volume) {
+// The nearest Gaussians, itself included.
+function neighbors({ means, tree }, i) {
+    const row = new Uint32Array(NEIGHBORS + 1).fill(i), apart = new Float64Array(row.length).fill(Infinity), [x, y, z] = means.subarray(3 * i, 3 * i + 3);
+    const visit = (from, to, axis) => {
+        if (from >= to) return;
+        const middle = from + to >> 1, at = 3 * tree[middle], along = means[3 * i + axis] - means[at + axis], below = along < 0, next = (axis + 1) % 3;
+        const squared = (x - means[at]) ** 2 + (y - means[at + 1]) ** 2 + (z - means[at + 2]) ** 2;
+        if (squared < apart[NEIGHBORS]) {
+            let k = NEIGHBORS;
+            for (; k && apart[k - 1] > squared; --k) apart[k] = apart[k - 1], row[k] = row[k - 1];
+            apart[k] = squared;
+            row[k] = tree[middle];
+        }
+        visit(below ? from : middle + 1, below ? middle : to, next);
+        if (along ** 2 < apart[NEIGHBORS]) visit(below ? middle + 1 : from, below ? to : middle, next);
+    };
+    visit(0, tree.length, 0);
+    return row;
+}
+
+// Marks with 1 the Gaussians like the seeds' mean that neighbors of the kind connect with a seed.
+function object(scene, { seeds, least }) {
+    const { means, count, gone, features: { values, channels } } = scene, marks = new Uint8Array(count), open = [];
+    const mean = new Float64Array(channels), near = scene.neighbors ??= new Array(count), row = i => channels * Math.floor(i * values.length / channels / count);
+    const product = (at, other, from) => {
+        let sum = 0;
+        for (let c = 0; c < channels; ++c) sum += values[at + c] * other[from + c];
+        return sum;
+    };
+    const size = at => Math.sqrt(product(at, values, at));
+    const reach = i => marks[i] ||= !gone[i] && product(row(i), mean, 0) / size(row(i)) >= least * length && open.push(i) ? 1 : 2;
+    if (!scene.tree) split(means, scene.tree = new Uint32Array(count).map((_, i) => i), 0, count, 0);
+    for (const at of seeds.map(row)) mean.forEach((_, c) => mean[c] += values[at + c] / (size(at) || 1));
+    const length = Math.hypot(...mean);
+    seeds.forEach(reach);
+    for (let i; (i = open.pop()) !== undefined;) (near[i] ??= neighbors(scene, i)).forEach(reach);
+    return marks;
+}
+
+// Whether a volume has a Gaussian: an object by its seeds; a box, or an ellipsoid if `round`, by its
+// center and half its size.
+function within(scene, volume) {
+    const { means } = scene, { center, half, round } = volume, marks = volume.seeds && (scene.marks = object(scene, volume));
+    return marks ? i => marks[i] === 1 : i => {
+        const x = (means[3 * i] - center[0]) / half[0], y = (means[3 * i + 1] - center[1]) / half[1], z = (means[3 * i + 2] - center[2]) / half[2];
+        return round ? x * x + y * y + z * z <= 1 : Math.max(Math.abs(x), Math.abs(y), Math.abs(z)) <= 1;
+    };
+}
+
+function counts(scene, volume) {
+    const { opacities, gone, edits } = scene, holds = volume ? within(scene, volume) : () => false;
     let count = 0, faint = 0, inside = 0;
     for (let i = 0; i < gone.length; ++i) {
         if (gone[i]) continue;
         ++count;
         faint += !(opacities[i] >= FAINTEST);
-        if (volume) inside += within(means, i, volume);
+        inside += holds(i);
     }
     return { count, faint, inside, edits };
 }
 
 // Edits that would leave none or all are refused: the number of edits stays.
 function edit(scene, act, volume) {
-    const { means, gone } = scene, { count, inside } = counts(scene, volume), removed = act === "keep" ? count - inside : inside;
+    const before = counts(scene, volume), { gone } = scene, { count, inside } = before, removed = act === "keep" ? count - inside : inside;
+    if (!act) return before;
     if (act === "undo") {
         for (let i = 0; i < gone.length; ++i) if (gone[i] === scene.edits) gone[i] = 0;
         scene.edits = Math.max(0, scene.edits - 1);
-    } else if (act && removed > 0 && removed < count) {
+    } else if (removed > 0 && removed < count) {
+        const holds = within(scene, volume);
         ++scene.edits;
-        for (let i = 0; i < gone.length; ++i) if (!gone[i] && within(means, i, volume) === (act === "delete")) gone[i] = scene.edits;
+        for (let i = 0; i < gone.length; ++i) if (!gone[i] && holds(i) === (act === "delete")) gone[i] = scene.edits;
     }
     const after = counts(scene, volume);
-    return { ...after, sample: act && sampled(scene, gone, after.count) };
+    return { ...after, sample: sampled(scene, gone, after.count) };
 }
 
 async function save({ gone }, file, name, kind) {
@@ -122,8 +188,9 @@ async function save({ gone }, file, name, kind) {
 
 const digits = [new Uint32Array(65536), new Uint32Array(65536)];
 
-// Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits.
-function sorted({ means, count, opacities, near, gone, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
+// Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits. The
+// highest bit marks the object.
+function sorted({ means, count, opacities, near, gone, marks, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = digits;
     low.fill(0);
     high.fill(0);
@@ -139,7 +206,7 @@ function sorted({ means, count, opacities, near, gone, depths, indices }, [fx, f
     for (const digit of digits) for (let i = 0, sum = 0; i < 65536; ++i) sum += digit[i], digit[i] = sum - digit[i];
     for (let i = 0; i < count; ++i) if (depths[i] >= near) indices[low[bits[i] & 0xffff]++] = i;
     const order = new Uint32Array(seen);
-    for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k];
+    for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k] | (marks?.[indices[k]] === 1) << 31;
     return order;
 }
 

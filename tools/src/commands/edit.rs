@@ -159,10 +159,7 @@ impl Edit {
 
     /// Reads the scenes and their features. Their world is kept if all have the same.
     fn merged(&self, session: &mut Session<'_>) -> Result<(Scene, Option<Lifted>, usize, Option<World>)> {
-        if !self.features.is_empty() && self.features.len() != self.scenes.len() {
-            let expected = format!("one for each of {}", counted(self.scenes.len(), "scene"));
-            return Err(Error::argument("--features", counted(self.features.len(), "file"), expected));
-        }
+        lifted::check_count(&self.features, &self.scenes)?;
         let (mut merged, mut dropped) = self.input.read(session, &self.scenes[0])?;
         let mut features = self.features.first().map(|path| lifted::open(path, &merged)).transpose()?;
         let mut world = read_world(&self.scenes[0])?;

@@ -1,6 +1,7 @@
 use crate::{
     heic::is_heic,
     html::data_url,
+    lifted,
     options::{Network, SceneInput, refuse},
     outputs::{Overwrite, size_of},
     refinement::with_cameras,
@@ -8,8 +9,8 @@ use crate::{
     table::{bytes, counted},
     video::is_video,
     viewer::{
-        Config, FromPhotos, InputCamera, Ready, Requests, Served, Server, ShownScene, Studio, Watched, input_cameras,
-        vertical, write_page,
+        Config, FromPhotos, InputCamera, Ready, Requests, Served, Server, ShownFeatures, ShownScene, Studio, Watched,
+        input_cameras, vertical, write_page,
     },
 };
 use clap::Args;
@@ -42,6 +43,7 @@ use zipsplat::{
   zipsplat view scene.ply
   zipsplat view scene.ply -o scene.html
   zipsplat view scene.ply --cameras transforms.json
+  zipsplat view scene.ply --features features.safetensors -o objects.html
   zipsplat view photos/ --cameras transforms.json
   zipsplat view photos/ --cameras transforms.json --refine=200
   zipsplat view photos/ --ratios 1,0.3,0.1 -o ratios.html
@@ -77,6 +79,9 @@ pub struct View {
     /// Gaussians per token of the scene's file, for the token view
     #[arg(long, value_name = "N")]
     gaussians_per_token: Option<NonZeroUsize>,
+    /// Features of the scenes, of `lift`, one file each: a click selects an object
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    features: Vec<PathBuf>,
     /// Port of the server [default: a free port]
     #[arg(long, value_name = "N", default_value = "0", hide_default_value = true, conflicts_with = "output")]
     port: u16,
@@ -117,24 +122,27 @@ impl View {
         if let Some(option) = self.from.given() {
             return Err(Error::argument(option, "scenes", "photos, which it is for"));
         }
-        let mut scenes = Vec::new();
-        for path in &self.files {
-            let (scene, _) = self.input.read(session, path)?;
+        lifted::check_count(&self.features, &self.files)?;
+        let (mut scenes, mut shown) = (Vec::new(), Vec::new());
+        for (i, path) in self.files.iter().enumerate() {
+            let (mut scene, _) = self.input.read(session, path)?;
+            let mut features = self.features.get(i).map(|file| lifted::open(file, &scene)).transpose()?;
             // A served page draws the first Gaussians while others arrive. Tokens need the order.
-            let sorts = self.output.is_none() && self.gaussians_per_token.is_none();
-            scenes.push(if sorts { scene.edit(&[Edit::Sort], &[])?.scene } else { scene });
-        }
-        let shown = |path: &PathBuf| {
-            let bytes = size_of(path)?;
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            Ok(ShownScene {
-                name,
-                bytes,
+            if self.output.is_none() && self.gaussians_per_token.is_none() {
+                let sorted = scene.edit(&[Edit::Sort], &[])?;
+                features = features.map(|features| features.of(&sorted.sources));
+                scene = sorted.scene;
+            }
+            scenes.push(scene);
+            shown.push(ShownScene {
+                name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+                bytes: size_of(path)?,
                 group: self.gaussians_per_token.map(NonZeroUsize::get),
+                features: features.as_ref().map(ShownFeatures::new),
                 ..ShownScene::default()
-            })
-        };
-        let (shown, cameras) = (self.files.iter().map(shown).collect::<Result<_>>()?, self.cameras(session)?);
+            });
+        }
+        let cameras = self.cameras(session)?;
         let mut config = Config { scenes: shown, up: vertical(&cameras), cameras, ..Config::default() };
         self.show(session, &mut config, &scenes)
     }
@@ -148,6 +156,7 @@ impl View {
 
     fn show_photos(&self, session: &mut Session<'_>) -> Result<()> {
         refuse("--gaussians-per-token", self.gaussians_per_token.is_some(), "photos", "a scene's file")?;
+        refuse("--features", !self.features.is_empty(), "photos", "a scene's file")?;
         refuse("--photos", self.photos.is_some(), "photos", "a scene's file")?;
         refuse("--relative-to", self.relative_to.is_some(), "photos", "a scene's file")?;
         self.input.refuse_dropping("photos", "a scene's file")?;

@@ -46,6 +46,10 @@ impl Served<'_> {
                 let Some(scene) = number(path, "scene/").and_then(|i| self.scenes.get(i)) else { return Ok(None) };
                 Ok(Some((BYTES, scene.encode(SceneFormat::Ply, &SaveOptions::default())?)))
             }
+            _ if path.starts_with("features/") => {
+                let shown = number(path, "features/").and_then(|i| self.config.scenes.get(i));
+                Ok(shown.and_then(|shown| shown.features.as_ref()).map(|features| (BYTES, features.bytes.clone())))
+            }
             _ => match self.made(path, false)? {
                 Some(made) => Ok(Some((BYTES, made.encode()?))),
                 None => Ok(None),

@@ -1,5 +1,6 @@
 mod answers;
 mod cameras;
+mod features;
 mod live;
 mod page;
 mod photos;
@@ -10,6 +11,7 @@ mod watched;
 
 pub use answers::Served;
 pub use cameras::{InputCamera, input_cameras, vertical};
+pub use features::ShownFeatures;
 pub use live::Live;
 pub use page::{Config, Requests, ShownScene, write_page};
 pub use photos::{FromPhotos, Ready};

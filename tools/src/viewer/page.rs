@@ -1,15 +1,18 @@
 //! Self-contained HTML page: style, scripts and optional scenes.
 
-use super::InputCamera;
+use super::{InputCamera, ShownFeatures};
 use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::io::{Result, Write};
+use std::{
+    io::{Result, Write},
+    sync::LazyLock,
+};
 use zipsplat::types::SkippedPass;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
-const SCRIPT: &str = concat!(
+static SCRIPT: LazyLock<String> = LazyLock::new(|| packed(concat!(
     include_str!("../../viewer/camera.js"),
     include_str!("../../viewer/controls.js"),
     include_str!("../../viewer/renderer.js"),
@@ -21,13 +24,13 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/refining.js"),
     include_str!("../../viewer/edit.js"),
     include_str!("../../viewer/page.js"),
-);
-const WORKER: &str = concat!(
+)));
+static WORKER: LazyLock<String> = LazyLock::new(|| packed(concat!(
     include_str!("../../viewer/zstd.js"),
     include_str!("../../viewer/formats.js"),
     include_str!("../../viewer/writers.js"),
     include_str!("../../viewer/worker.js")
-);
+)));
 
 #[derive(Default, Serialize)]
 pub struct Config {
@@ -57,6 +60,9 @@ pub struct ShownScene {
     /// Milliseconds.
     pub times: Vec<(String, f64)>,
     pub skipped_passes: Vec<SkippedPass>,
+    /// For the selection of objects.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub features: Option<ShownFeatures>,
 }
 
 #[derive(Serialize)]
@@ -94,7 +100,14 @@ pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scen
             // Only this character can end a JSON script element.
             "config" => out.write_all(serde_json::to_string(config)?.replace('<', "\\u003c").as_bytes())?,
             "worker" => out.write_all(WORKER.as_bytes())?,
-            "scenes" => scenes.iter().enumerate().try_for_each(|(i, bytes)| write_scene(out, i, bytes))?,
+            "scenes" => {
+                for (i, (bytes, shown)) in scenes.iter().zip(&config.scenes).enumerate() {
+                    write_bytes(out, &format!("scene-{i}"), bytes)?;
+                    if let Some(features) = &shown.features {
+                        write_bytes(out, &format!("features-{i}"), &features.bytes)?;
+                    }
+                }
+            }
             "script" => out.write_all(SCRIPT.as_bytes())?,
             _ => unreachable!("the template asks for {name}"),
         }
@@ -103,8 +116,8 @@ pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scen
     out.write_all(rest.as_bytes())
 }
 
-fn write_scene(out: &mut dyn Write, index: usize, bytes: &[u8]) -> Result<()> {
-    write!(out, "<script id=scene-{index} type=application/octet-stream>")?;
+fn write_bytes(out: &mut dyn Write, id: &str, bytes: &[u8]) -> Result<()> {
+    write!(out, "<script id={id} type=application/octet-stream>")?;
     let mut encoder = EncoderWriter::new(&mut *out, &BASE64_STANDARD);
     encoder.write_all(bytes)?;
     encoder.finish()?;
@@ -112,9 +125,15 @@ fn write_scene(out: &mut dyn Write, index: usize, bytes: &[u8]) -> Result<()> {
     out.write_all(b"</script>\n")
 }
 
+/// Drops indentation and lines of comments.
+fn packed(script: &str) -> String {
+    let lines = script.lines().map(str::trim_start).filter(|line| !line.starts_with("//"));
+    lines.flat_map(|line| [line, "\n"]).collect()
+}
+
 /// Allows only the page's script and these requests.
 fn policy(requests: Requests) -> String {
-    let script = BASE64_STANDARD.encode(Sha256::digest(SCRIPT));
+    let script = BASE64_STANDARD.encode(Sha256::digest(&**SCRIPT));
     let (connect, image) = match requests {
         Requests::None => ("'none'", ""),
         Requests::Server => ("'self'", " 'self'"),
