@@ -136,9 +136,7 @@ fn a_page_has_the_features_that_it_is_given() {
     select::picture(&folder, "labels/a.png", [18, 2]);
     select::picture(&folder, "labels/b.png", [18, 2]);
     // More channels than a page has.
-    folder
-        .run("lift @/scene.ply @/labels --labels 20 --cameras @/cameras.json -o @/labels.safetensors")
-        .success();
+    folder.run("lift @/scene.ply @/labels --labels 20 --cameras @/cameras.json -o @/labels.safetensors").success();
     let page = |options: &str| {
         folder.run(&format!("view @/scene.ply {options} -o @/page.html --overwrite")).success();
         folder.text("page.html")

@@ -12,25 +12,29 @@ use zipsplat::types::SkippedPass;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
-static SCRIPT: LazyLock<String> = LazyLock::new(|| packed(concat!(
-    include_str!("../../viewer/camera.js"),
-    include_str!("../../viewer/controls.js"),
-    include_str!("../../viewer/renderer.js"),
-    include_str!("../../viewer/overlay.js"),
-    include_str!("../../viewer/tokens.js"),
-    include_str!("../../viewer/views.js"),
-    include_str!("../../viewer/path.js"),
-    include_str!("../../viewer/live.js"),
-    include_str!("../../viewer/refining.js"),
-    include_str!("../../viewer/edit.js"),
-    include_str!("../../viewer/page.js"),
-)));
-static WORKER: LazyLock<String> = LazyLock::new(|| packed(concat!(
-    include_str!("../../viewer/zstd.js"),
-    include_str!("../../viewer/formats.js"),
-    include_str!("../../viewer/writers.js"),
-    include_str!("../../viewer/worker.js")
-)));
+static SCRIPT: LazyLock<String> = LazyLock::new(|| {
+    packed(concat!(
+        include_str!("../../viewer/camera.js"),
+        include_str!("../../viewer/controls.js"),
+        include_str!("../../viewer/renderer.js"),
+        include_str!("../../viewer/overlay.js"),
+        include_str!("../../viewer/tokens.js"),
+        include_str!("../../viewer/views.js"),
+        include_str!("../../viewer/path.js"),
+        include_str!("../../viewer/live.js"),
+        include_str!("../../viewer/refining.js"),
+        include_str!("../../viewer/edit.js"),
+        include_str!("../../viewer/page.js"),
+    ))
+});
+static WORKER: LazyLock<String> = LazyLock::new(|| {
+    packed(concat!(
+        include_str!("../../viewer/zstd.js"),
+        include_str!("../../viewer/formats.js"),
+        include_str!("../../viewer/writers.js"),
+        include_str!("../../viewer/worker.js")
+    ))
+});
 
 #[derive(Default, Serialize)]
 pub struct Config {
