@@ -59,7 +59,7 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_refine_result {
             struct_size, stop_reason, steps, best_step, initial_loss, final_loss, initial_psnr, best_psnr, seconds,
-            initial_training_psnr, best_training_psnr, cameras
+            initial_training_psnr, best_training_psnr, cameras, exposures
         }
         zs_render_options { struct_size, format, depth, antialiasing, background, near_plane }
         zs_render_buffers { struct_size, reserved, stride, pixels, alpha, depth, normals }

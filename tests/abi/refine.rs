@@ -208,7 +208,9 @@ fn cameras_and_exposures_are_optimized_and_gaussians_grow_as_in_rust() {
     let (device, scene) = (open_device(), scene_of(&place.moved));
     let images: Vec<_> = place.photos.iter().map(image_of).collect();
     let (cameras, mut refined) = (place.c_cameras(), [zs_camera::new(); 3]);
-    let mut result = zs_refine_result { cameras: refined.as_mut_ptr(), ..Versioned::new() };
+    let mut exposures = [f32::NAN; 36];
+    let (to_cameras, to_exposures) = (refined.as_mut_ptr(), exposures.as_mut_ptr());
+    let mut result = zs_refine_result { cameras: to_cameras, exposures: to_exposures, ..Versioned::new() };
     let (images, cameras, result) = (images.as_ptr(), cameras.as_ptr(), &mut result);
     let refine =
         |out| unsafe { zs_refine_scene(device.handle, scene.handle, images, cameras, 3, &options, result, out) };
@@ -219,6 +221,8 @@ fn cameras_and_exposures_are_optimized_and_gaussians_grow_as_in_rust() {
         assert_eq!(found.rotation, expected.pose.rotation.transpose().to_cols_array());
     }
     assert_ne!(refined[1].translation, place.cameras[1].pose.translation.to_array());
+    let learned = expected.exposures.expect("exposures");
+    assert_eq!(exposures.to_vec(), learned.iter().flat_map(|learned| learned.0.concat()).collect::<Vec<_>>());
 }
 
 #[test]

@@ -173,7 +173,12 @@ def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path, tmp_
     assert np.array_equal(sharp.refinement.cameras.camera_to_world, opened.cameras.camera_to_world)
     with pytest.raises(zipsplat.ArgumentError, match="exposure"):
         coarse.refine(opened, steps=1, exposure="of")  # type: ignore[arg-type]
-    assert not same(coarse.refine(opened, steps=15, exposure="on"), sharp)
+    exposed = coarse.refine(opened, steps=15, exposure="on")
+    assert not same(exposed, sharp)
+    assert exposed.refinement is not None and sharp.refinement is not None
+    identity = np.tile(np.eye(3, 4, dtype=np.float32), (len(opened.cameras), 1, 1))
+    assert np.array_equal(sharp.refinement.exposures, identity)
+    assert not np.array_equal(exposed.refinement.exposures, identity)
     masks = np.ones((3, *photos.shape[1:3]), bool)
     masks[:, :, :10] = False
     masked = coarse.refine(opened, steps=15, masks=masks)

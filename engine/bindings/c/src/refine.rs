@@ -183,6 +183,9 @@ pub struct zs_refine_result {
     pub best_training_psnr: f64,
     /// Output array for all photos' cameras, with struct_size set, or NULL.
     pub cameras: *mut zs_camera,
+    /// Output array for the transforms from the scene's colors to all photos', or NULL: for each
+    /// the 3 rows of a matrix with offset, 12 numbers, the identity unless learned.
+    pub exposures: *mut f32,
 }
 
 versioned!(zs_refine_options, zs_refine_result);

@@ -14,6 +14,7 @@ use std::{borrow::Cow, cell::Cell, ops::ControlFlow};
 use zipsplat::{
     Camera, Error, Image, RefineOptions, RefineResult,
     refine::{Photos, RefineProgress},
+    types::ColorTransform,
 };
 
 /// Checked arguments.
@@ -116,8 +117,14 @@ impl Inputs {
         }
         // SAFETY: checked in `read`.
         unsafe {
-            let cameras = read_versioned(result)?.cameras;
-            write_versioned(result, zs_refine_result { cameras, ..found.into() })?;
+            let zs_refine_result { cameras, exposures, .. } = read_versioned(result)?;
+            write_versioned(result, zs_refine_result { cameras, exposures, ..found.into() })?;
+            if !exposures.is_null() {
+                let identity = vec![ColorTransform::IDENTITY; self.cameras.len()];
+                let transforms = found.exposures.as_ref().unwrap_or(&identity);
+                let numbers: Vec<f32> = transforms.iter().flat_map(|transform| transform.0.concat()).collect();
+                std::ptr::copy_nonoverlapping(numbers.as_ptr(), exposures, numbers.len());
+            }
             if cameras.is_null() { Ok(()) } else { write_array(cameras, found.cameras.iter().map(zs_camera::from)) }
         }
     }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
 
 from ._native import lib
 from .cameras import Cameras, from_native
@@ -33,6 +36,8 @@ class RefineResult:
             first step.
         best_training_psnr: The same with the returned scene.
         cameras: Cameras of all photos, as optimized.
+        exposures: [photos, 3, 4] float32 matrix and offset from the scene's colors to each photo's;
+            the identity unless learned.
     """
 
     stop_reason: StopReason
@@ -46,10 +51,11 @@ class RefineResult:
     initial_training_psnr: float
     best_training_psnr: float
     cameras: Cameras
+    exposures: npt.NDArray[np.float32] = field(compare=False)
 
 
-def refine_result(info: Any, cameras: Any) -> RefineResult:
-    """Converts a result and cameras of the library."""
+def refine_result(info: Any, cameras: Any, exposures: npt.NDArray[np.float32]) -> RefineResult:
+    """Converts a result, cameras and exposures of the library."""
     return RefineResult(
         stop_reason=_STOP_REASONS[info.stop_reason],
         steps=info.steps,
@@ -62,4 +68,5 @@ def refine_result(info: Any, cameras: Any) -> RefineResult:
         initial_training_psnr=info.initial_training_psnr,
         best_training_psnr=info.best_training_psnr,
         cameras=Cameras(map(from_native, cameras)),
+        exposures=exposures,
     )

@@ -461,10 +461,12 @@ class Scene:
             depth_weight=depth_weight or 0.0,
             **callback.fields,
         )
-        result = structure("refine_result", cameras=refined_cameras)
+        exposures = np.empty((len(sources), 3, 4), np.float32)
+        learned = ffi.from_buffer("float[]", exposures)
+        result = structure("refine_result", cameras=refined_cameras, exposures=learned)
         function, *owners = self._refined(on, target)
         arguments = (*owners, photos, native_cameras(posed), len(sources), options, result)
-        return Scene(Handle("scene", function, *arguments), on, refine_result(result, refined_cameras))
+        return Scene(Handle("scene", function, *arguments), on, refine_result(result, refined_cameras, exposures))
 
     def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
         """Returns the library's function of a refinement and its first arguments."""
