@@ -114,8 +114,8 @@ fn standardize(views: &mut [PixelValues]) {
     }
 }
 
-/// Returns a network's patch tokens, standardized by channel, of at most `views` photos, evenly spaced, and the cameras of
-/// what it sees of them.
+/// Returns a network's patch tokens, standardized by channel, of at most `views` photos, evenly
+/// spaced, and the cameras of what it sees of them.
 pub fn of_network(
     session: &mut Session<'_>,
     weights: &Weights,

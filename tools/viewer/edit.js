@@ -1,4 +1,4 @@
-// Crop and deletion by a box or sphere that is dragged by its handles, or of a clicked object; undo;
+// Crop and deletion by a box or sphere with handles, or of a clicked object; undo;
 // saving.
 
 const REACH = 22; // pixels from a handle's center
