@@ -38,6 +38,15 @@ fn known_depth_joins_the_loss() {
     assert!(none == 0.0 && all > 0.5 && metric != without, "{all}");
     assert!(metric == refined("--depth-loss @/place/depth").1, "bits differ from run to run");
     assert!(without == refined("--depth-loss @/place/depth --depth-weight 0").1);
+    // As nerfstudio lists it.
+    let listed = folder.text("place/transforms.json");
+    let name = |i: usize| format!("\"file_path\": \"images/{i:03}.png\"");
+    let with_depth = |text: String, i: usize| {
+        text.replace(&name(i), &format!("{}, \"depth_file_path\": \"depth/{i:03}.npy\"", name(i)))
+    };
+    folder.write("place/depths.json", (0..6).fold(listed, with_depth));
+    assert!(metric == refined("--depth-loss @/place/depths.json").1);
+    folder.run(&line("--depth-loss @/place/transforms.json")).fails(3, &["transforms.json", "depth_file_path"]);
     // The first three photos as levels, rounded; the others without depth.
     std::fs::create_dir(folder.path("levels")).expect("a folder");
     (0..3).for_each(|i| save_levels(&folder.path(&format!("levels/{i:03}.png")), [42, 28], &values(&folder, i)));

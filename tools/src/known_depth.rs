@@ -11,6 +11,7 @@ use crate::{
     stamp::{digest, stamp},
 };
 use safetensors::SafeTensors;
+use serde_json::Value;
 use std::{
     borrow::Cow,
     fs::File,
@@ -51,7 +52,7 @@ enum Source {
 }
 
 impl KnownDepth {
-    /// Opens the depth of photos in `source`: a folder, or the name or weights of a depth network,
+    /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights of a depth network,
     /// which predicts it. `cameras` are those of the refinement's photos, in a scene whose unit has
     /// the length `unit`.
     pub fn open(
@@ -69,12 +70,16 @@ impl KnownDepth {
         let (kind, sources) = match (source.is_dir(), file.is_file()) {
             (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
             (true, false) => (DepthKind::Metric, frames.iter().map(|frame| depth_file(source, frame)).collect()),
+            _ if source.extension().is_some_and(|extension| extension == "json") => {
+                (DepthKind::Metric, listed(source, frames)?)
+            }
             (false, _) => (DepthKind::Relative, predict(session, photos::text(source)?, files, frames)?),
         };
         let known = sources.iter().flatten().count();
         if known == 0 {
             let found = format!("none for {} and the other photos", photos::names(&files[..files.len().min(1)]));
-            let expected = format!("NAME.npy or NAME.png for a photo NAME, or {VALUES} of these photos");
+            let expected =
+                format!("NAME.npy or NAME.png for a photo NAME, {VALUES} of these photos, or depth_file_path");
             return Err(Error::argument(format!("depth in {}", source.display()), found, expected));
         }
         if known < files.len() {
@@ -139,6 +144,18 @@ fn named(folder: &Path, frame: &CaptureView, extension: &str) -> PathBuf {
 fn depth_file(folder: &Path, frame: &CaptureView) -> Option<Source> {
     let files = ["npy", "png"].map(|extension| named(folder, frame, extension));
     files.into_iter().find(|file| file.is_file()).map(Source::File)
+}
+
+/// Finds the files that a transforms.json lists as `depth_file_path`.
+fn listed(file: &Path, frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
+    let text = std::fs::read_to_string(file).map_err(|error| Error::io(file, error))?;
+    let json: Value = serde_json::from_str(&text).map_err(|error| Error::format(file, None, error.to_string()))?;
+    let (listed, folder) = (json["frames"].as_array().map_or(&[][..], Vec::as_slice), file.parent());
+    let path = |frame: &&CaptureView| {
+        let of_photo = listed.iter().find(|listed| listed["file_path"] == frame.name.as_str())?;
+        Some(Source::File(folder?.join(of_photo["depth_file_path"].as_str()?)))
+    };
+    Ok(frames.iter().map(path).collect())
 }
 
 /// Reads a photo's depth from FOLDER/NAME.npy, as [`read_file`].
