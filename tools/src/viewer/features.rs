@@ -24,7 +24,8 @@ impl ShownFeatures {
         let (channels, count) = (lifted.features.channels, lifted.weights.len());
         // A column per row of features.
         let rows = DMatrixView::from_slice(&lifted.features.values, channels, count);
-        let seen: Vec<usize> = (0..count).filter(|i| lifted.weights[*i] > 0.0 && rows.column(*i).amax() > 0.0).collect();
+        let seen: Vec<usize> =
+            (0..count).filter(|i| lifted.weights[*i] > 0.0 && rows.column(*i).amax() > 0.0).collect();
         let basis = if channels <= CHANNELS {
             DMatrix::identity(channels, channels)
         } else {
