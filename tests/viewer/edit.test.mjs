@@ -147,9 +147,12 @@ for (const [name, viewport] of SIZES)
         await tab.press("edit-button");
         await tab.slide("volume", "object");
         const inside = async () => Number((await counted(tab)).inside.split(" ")[0]), place = x => tab.run(x => zipsplat.overlay.project([x, 0, 3.5]), x);
+        await tab.run(() => zipsplat.canvas.addEventListener("click", () => globalThis.clicked = true));
         const click = async x => {
             await tab.settled();
+            await tab.run(() => globalThis.clicked = false);
             await (viewport.hasTouch ? touchscreen.tap(...await place(x)) : mouse.click(...await place(x)));
+            await tab.until(() => clicked);
             return inside();
         };
         assert.equal(await inside(), 0);
