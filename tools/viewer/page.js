@@ -71,15 +71,11 @@ class Page {
         try {
             const bytes = await this.bytes(scene, index);
             scene.bytes ??= bytes.byteLength;
-            this.read(index, bytes, true, scene.features && { ...scene.features, values: await this.features(index) });
+            const { features, name } = scene, parts = { name, inlined: element(`features-${index}`), source: `features/${index}` };
+            this.read(index, bytes, true, features && { ...features, values: new Int8Array(await this.bytes(parts)) });
         } catch (error) {
             this.failed(index, error.message);
         }
-    }
-
-    async features(index) {
-        const inlined = element(`features-${index}`);
-        return new Int8Array(await (inlined ? this.unpacked(inlined) : (await asked(`features/${index}`)).arrayBuffer()));
     }
 
     // With any view for the first depth order.
@@ -105,9 +101,17 @@ class Page {
         if (scene.file) return scene.file.arrayBuffer();
         const { inlined } = scene;
         if (inlined) {
-            const bytes = await this.unpacked(inlined);
-            if (new Uint8Array(bytes)[0] === 0x1f) scene.extension = ".spz";
-            return bytes;
+            const text = inlined.textContent, padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
+            const bytes = new Uint8Array(text.length / 4 * 3 - padding), part = 1 << 20;
+            for (let at = 0; at < text.length; at += part) {
+                const binary = atob(text.slice(at, at + part));
+                for (let i = 0; i < binary.length; ++i) bytes[at / 4 * 3 + i] = binary.charCodeAt(i);
+                this.say(`${scene.name}: unpacking, ${Math.floor(100 * at / text.length)} %`);
+                await new Promise(requestAnimationFrame);
+            }
+            inlined.remove();
+            if (bytes[0] === 0x1f) scene.extension = ".spz";
+            return bytes.buffer;
         }
         const answer = await asked(scene.source);
         const all = Number(answer.headers.get("Content-Length")), parts = [];
@@ -117,25 +121,12 @@ class Page {
             done += part.length;
             if (all) this.arrived(scene, `${sized(done)} of ${sized(all)}`);
             // The server sends the most visible Gaussians first.
-            if (all > PREVIEWED && done >= next * all) {
+            if (index >= 0 && all > PREVIEWED && done >= next * all) {
                 next *= 4;
                 this.read(index, await new Blob(parts).arrayBuffer(), false);
             }
         }
         return new Blob(parts).arrayBuffer();
-    }
-
-    async unpacked(inlined) {
-        const text = inlined.textContent, padding = text.endsWith("==") ? 2 : text.endsWith("=") ? 1 : 0;
-        const bytes = new Uint8Array(text.length / 4 * 3 - padding), part = 1 << 20;
-        for (let at = 0; at < text.length; at += part) {
-            const binary = atob(text.slice(at, at + part));
-            for (let i = 0; i < binary.length; ++i) bytes[at / 4 * 3 + i] = binary.charCodeAt(i);
-            this.say(`Unpacking, ${Math.floor(100 * at / text.length)} %`);
-            await new Promise(requestAnimationFrame);
-        }
-        inlined.remove();
-        return bytes.buffer;
     }
 
     // In the middle until there is a picture.

@@ -105,11 +105,11 @@ function split(means, tree, from, to, axis) {
 
 // The nearest Gaussians, itself included.
 function neighbors({ means, tree }, i) {
-    const row = new Uint32Array(NEIGHBORS + 1).fill(i), apart = new Float64Array(row.length).fill(Infinity), [x, y, z] = means.subarray(3 * i, 3 * i + 3);
+    const row = new Uint32Array(NEIGHBORS + 1).fill(i), apart = new Float64Array(row.length).fill(Infinity);
     const visit = (from, to, axis) => {
         if (from >= to) return;
-        const middle = from + to >> 1, at = 3 * tree[middle], along = means[3 * i + axis] - means[at + axis], below = along < 0, next = (axis + 1) % 3;
-        const squared = (x - means[at]) ** 2 + (y - means[at + 1]) ** 2 + (z - means[at + 2]) ** 2;
+        const middle = from + to >> 1, away = c => means[3 * i + c] - means[3 * tree[middle] + c];
+        const squared = away(0) ** 2 + away(1) ** 2 + away(2) ** 2, below = away(axis) < 0, next = (axis + 1) % 3;
         if (squared < apart[NEIGHBORS]) {
             let k = NEIGHBORS;
             for (; k && apart[k - 1] > squared; --k) apart[k] = apart[k - 1], row[k] = row[k - 1];
@@ -117,7 +117,7 @@ function neighbors({ means, tree }, i) {
             row[k] = tree[middle];
         }
         visit(below ? from : middle + 1, below ? middle : to, next);
-        if (along ** 2 < apart[NEIGHBORS]) visit(below ? middle + 1 : from, below ? to : middle, next);
+        if (away(axis) ** 2 < apart[NEIGHBORS]) visit(below ? middle + 1 : from, below ? to : middle, next);
     };
     visit(0, tree.length, 0);
     return row;

@@ -4,37 +4,30 @@ use super::{InputCamera, ShownFeatures};
 use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::{
-    io::{Result, Write},
-    sync::LazyLock,
-};
+use std::io::{Result, Write};
 use zipsplat::types::SkippedPass;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
-static SCRIPT: LazyLock<String> = LazyLock::new(|| {
-    packed(concat!(
-        include_str!("../../viewer/camera.js"),
-        include_str!("../../viewer/controls.js"),
-        include_str!("../../viewer/renderer.js"),
-        include_str!("../../viewer/overlay.js"),
-        include_str!("../../viewer/tokens.js"),
-        include_str!("../../viewer/views.js"),
-        include_str!("../../viewer/path.js"),
-        include_str!("../../viewer/live.js"),
-        include_str!("../../viewer/refining.js"),
-        include_str!("../../viewer/edit.js"),
-        include_str!("../../viewer/page.js"),
-    ))
-});
-static WORKER: LazyLock<String> = LazyLock::new(|| {
-    packed(concat!(
-        include_str!("../../viewer/zstd.js"),
-        include_str!("../../viewer/formats.js"),
-        include_str!("../../viewer/writers.js"),
-        include_str!("../../viewer/worker.js")
-    ))
-});
+const SCRIPT: &str = concat!(
+    include_str!("../../viewer/camera.js"),
+    include_str!("../../viewer/controls.js"),
+    include_str!("../../viewer/renderer.js"),
+    include_str!("../../viewer/overlay.js"),
+    include_str!("../../viewer/tokens.js"),
+    include_str!("../../viewer/views.js"),
+    include_str!("../../viewer/path.js"),
+    include_str!("../../viewer/live.js"),
+    include_str!("../../viewer/refining.js"),
+    include_str!("../../viewer/edit.js"),
+    include_str!("../../viewer/page.js"),
+);
+const WORKER: &str = concat!(
+    include_str!("../../viewer/zstd.js"),
+    include_str!("../../viewer/formats.js"),
+    include_str!("../../viewer/writers.js"),
+    include_str!("../../viewer/worker.js")
+);
 
 #[derive(Default, Serialize)]
 pub struct Config {
@@ -93,17 +86,17 @@ pub enum Requests {
 /// Embeds `scenes`, in configuration order.
 pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scenes: &[Vec<u8>]) -> Result<()> {
     let names: Vec<&str> = config.scenes.iter().map(|scene| scene.name.as_str()).collect();
-    let mut rest = PAGE;
+    let (script, mut rest) = (packed(SCRIPT), PAGE);
     while let Some((before, behind)) = rest.split_once("{{") {
         let (name, after) = behind.split_once("}}").expect("the template closes what it opens");
         out.write_all(before.as_bytes())?;
         match name {
-            "policy" => out.write_all(policy(requests).as_bytes())?,
+            "policy" => out.write_all(policy(&script, requests).as_bytes())?,
             "title" => out.write_all(escaped(&names.join(", ")).as_bytes())?,
             "style" => out.write_all(STYLE.as_bytes())?,
             // Only this character can end a JSON script element.
             "config" => out.write_all(serde_json::to_string(config)?.replace('<', "\\u003c").as_bytes())?,
-            "worker" => out.write_all(WORKER.as_bytes())?,
+            "worker" => out.write_all(packed(WORKER).as_bytes())?,
             "scenes" => {
                 for (i, (bytes, shown)) in scenes.iter().zip(&config.scenes).enumerate() {
                     write_bytes(out, &format!("scene-{i}"), bytes)?;
@@ -112,7 +105,7 @@ pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scen
                     }
                 }
             }
-            "script" => out.write_all(SCRIPT.as_bytes())?,
+            "script" => out.write_all(script.as_bytes())?,
             _ => unreachable!("the template asks for {name}"),
         }
         rest = after;
@@ -136,8 +129,8 @@ fn packed(script: &str) -> String {
 }
 
 /// Allows only the page's script and these requests.
-fn policy(requests: Requests) -> String {
-    let script = BASE64_STANDARD.encode(Sha256::digest(&**SCRIPT));
+fn policy(script: &str, requests: Requests) -> String {
+    let script = BASE64_STANDARD.encode(Sha256::digest(script));
     let (connect, image) = match requests {
         Requests::None => ("'none'", ""),
         Requests::Server => ("'self'", " 'self'"),
