@@ -84,7 +84,8 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     save_json(&folder.join(SCENE), &scene)
 }
 
-/// Replaces the photos and points of [`write_folder`] by those of a wide lens, and removes the depth.
+/// Replaces the photos and points of [`write_folder`] by those of a wide lens, and removes
+/// depth and labels.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -94,7 +95,9 @@ pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, photos: &[W
     let points = photos.iter().flat_map(|(_, points)| points);
     let scaled = points.map(|(at, color)| ((*at / capture.meters).as_vec3().to_array(), *color));
     write_points(folder.join("points.ply"), &scaled.collect::<Vec<_>>())?;
-    remove_stale(&folder.join("depth"), 0, |path| path.extension().is_some_and(|ext| ext == "npy"))?;
+    for (sub, extension) in [("depth", "npy"), ("labels", "png")] {
+        remove_stale(&folder.join(sub), 0, |path| path.extension().is_some_and(|ext| ext == extension))?;
+    }
     write_frames(folder.join("transforms.json"), &lens.frames(&capture.cameras, &names)?, Some("points.ply"))
 }
 

@@ -22,6 +22,7 @@ pub struct Script {
 
 const SCENE: (&str, &str) = ("scene.py", include_str!("../../../bench/scene.py"));
 const MODEL: (&str, &str) = ("model.py", include_str!("../../../train/model.py"));
+const VGGT: (&str, &str) = ("vggt.py", include_str!("../../../train/vggt.py"));
 const LAYERS: (&str, &str) = ("layers.py", include_str!("../../../train/layers.py"));
 const WEIGHTS: (&str, &str) = ("weights.py", include_str!("../../../train/weights.py"));
 const REFINE_PY: &str = include_str!("../../../bench/pytorch_refine.py");
@@ -31,7 +32,7 @@ pub const FORWARD: Script = Script {
     option: "--pytorch",
     needed: "a Python with torch, numpy and safetensors",
     check: "import torch, numpy, safetensors",
-    files: &[("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")), MODEL, LAYERS, WEIGHTS],
+    files: &[("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")), MODEL, VGGT, LAYERS, WEIGHTS],
 };
 
 pub const DEPTH: Script = Script {
@@ -39,6 +40,7 @@ pub const DEPTH: Script = Script {
         ("pytorch_depth.py", include_str!("../../../bench/pytorch_depth.py")),
         ("depth.py", include_str!("../../../train/depth.py")),
         MODEL,
+        VGGT,
         LAYERS,
         WEIGHTS,
     ],
