@@ -1119,6 +1119,9 @@ typedef struct zs_refine_result {
     double best_training_psnr;
     // Output array for all photos' cameras, with struct_size set, or NULL.
     struct zs_camera *cameras;
+    // Output array for the transforms from the scene's colors to all photos', or NULL: for each
+    // the 3 rows of a matrix with offset, 12 numbers, the identity unless learned.
+    float *exposures;
 } zs_refine_result;
 
 // Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
