@@ -126,7 +126,8 @@ impl Lens {
     /// Returns the pinhole views that show the photo, of which the first looks along the axis.
     ///
     /// Up to [`MAX_VIEW_DEG`] across and down, that is one view of the photo's size: the widest that
-    /// the photo fills, with its principal point, and with both focal lengths scaled by one zoom.
+    /// the photo fills, with its principal point, and with both focal lengths scaled by one zoom. So
+    /// are perspective lenses without a denominator, which are nearly pinholes, of any width.
     /// Photos of wider lenses are cut into overlapping squares of [`CUT_VIEW_DEG`].
     ///
     /// # Errors
@@ -248,6 +249,9 @@ impl Lens {
         if self.distortion == Distortion::Equirectangular {
             let around = (0..AROUND).map(|k| DMat3::from_rotation_y(TAU * f64::from(k) / f64::from(AROUND)));
             return around.chain([FRAC_PI_2, -FRAC_PI_2].map(DMat3::from_rotation_x)).collect();
+        }
+        if matches!(self.distortion, Distortion::Perspective { denominator: [0.0, 0.0, 0.0], .. }) {
+            return vec![DMat3::IDENTITY];
         }
         let Field { across, down, .. } = self.field();
         let turn = |angle: f64| {
