@@ -98,15 +98,15 @@ def learned_queries_are_as_many_whatever_the_scene():
     assert not any("queries" in name for name in small().state_dict())
 
 
-def backbone_and_aggregator_have_rates_of_their_own():
-    layers = ("backbone.backbone.blocks.1.attn.qkv", "backbone.backbone.blocks.0.attn.qkv", "self_attention.0.attn.qkv",
+def backbone_and_camera_encoder_have_rates_of_their_own():
+    layers = ("backbone.backbone.blocks.1.attn.qkv", "backbone.backbone.blocks.0.attn.qkv", "backbone.cam_enc.trunk.0.attn.qkv",
               "gaussian_head.gaussian_head.1")  # fmt: skip
     moved = {}
     for rates in ((0, 1), (0.1, 0.1), (1, 1)):
         torch.manual_seed(0)
         model = initialize(small(), (2, 2))
         before = copy.deepcopy(model.state_dict())
-        optimizer = Optimizer(model, {**POCKET, "backbone_rate": rates[0], "aggregator_rate": rates[1]})
+        optimizer = Optimizer(model, {**POCKET, "backbone_rate": rates[0], "camera_rate": rates[1]})
         model(torch.rand(1, 2, 3, 42, 42), priors=(torch.eye(4).expand(1, 2, 4, 4), torch.full((1, 2, 4), 40.0)))[0].sum().backward()
         for p in model.parameters():
             p.grad = torch.zeros_like(p) if p.grad is None else p.grad
@@ -137,7 +137,7 @@ def geometric_losses_are_as_written():
     assert abs(found - (nearest.square() * free).mean()) < 1e-5, found
     alpha, truth, rendered = torch.rand(2, 1, 5, 5), torch.rand(2, 1, 5, 5) - 0.3, torch.rand(2, 1, 5, 5)
     pictures = rasterize.Pictures(None, alpha, alpha * rendered, None)
-    found, expected = losses.depth(pictures, truth), ((rendered - truth).abs() * (truth > 0)).mean()
+    found, expected = losses.depth(pictures, truth), (alpha * rendered - truth).abs()[truth > 0].mean()
     assert abs(found - expected) < 1e-6, (found, expected)
 
 
@@ -234,7 +234,7 @@ def contradictions_are_refused_by_name():
     refused(changed(anchor_cells=[5, 5]), "anchor_cells", "[5, 5]", "36")
     refused(changed(architecture__color_width=64), "architecture.color_width", "64", "108")
     refused(changed(architecture__head_hidden=600), "architecture.head_hidden", "600", "640")
-    refused(changed(aggregator_rate=2), "aggregator_rate", "2")
+    refused(changed(camera_rate=2), "camera_rate", "2")
     refused(changed(batch_scenes=4), "batch_scenes", "48")
     refused(changed(views_at_once=3), "views_at_once", "3", "4 views")
     refused(changed(record_views=5), "record_views", "5", "6 at least")
@@ -275,7 +275,7 @@ TESTS = (
     opacity_and_place_are_where_the_settings_say,
     each_number_of_gaussians_has_its_cells,
     learned_queries_are_as_many_whatever_the_scene,
-    backbone_and_aggregator_have_rates_of_their_own,
+    backbone_and_camera_encoder_have_rates_of_their_own,
     presets_have_the_published_settings,
     geometric_losses_are_as_written,
     a_released_backbone_sees_what_its_own_network_sees,

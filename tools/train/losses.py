@@ -103,14 +103,14 @@ def chamfer(means, points, free, sample=0, robust=False):
 def depth(pictures, truth, robust=False):
     """L1 between rendered and true depth [B, C, H, W] where it is known (above 0).
 
-    `robust` is relative to depth, and accumulates weight * (depth - truth): its gradients reach
-    depth, and weight at wrong depth.
+    As the reference code, rendered depth is accumulated, and the mean is of known pixels. `robust`
+    is relative to depth, and accumulates weight * (depth - truth): its gradients reach depth, and
+    weight at wrong depth.
     """
+    known = truth > 0
     if robust:
-        error = (pictures.depth - pictures.alpha * truth).abs() / truth.clamp_min(0.5)
-    else:
-        error = (pictures.depth / pictures.alpha.clamp_min(1e-10) - truth).abs()
-    return (error * (truth > 0)).mean()
+        return ((pictures.depth - pictures.alpha * truth).abs() / truth.clamp_min(0.5) * known).mean()
+    return ((pictures.depth - truth).abs() * known).sum() / known.sum().clamp_min(1)
 
 
 def signed_log(x):
@@ -187,8 +187,12 @@ def total(gaussians, tokens, pictures, given, batch, weights, config, perceptual
         parts["color"] = color(gaussians[..., 11:14], batch, tokens)
     else:
         parts |= seen(means, pictures, batch, weights, config, perceptual)
-        parts["scale"] = F.relu(scales - config["hinges"]["scale"]).square().mean()
-        parts["opacity"] = F.relu(opacity - config["hinges"]["opacity"]).square().mean()
+        hinges = config["hinges"]
+        parts["scale"] = F.relu(scales - hinges["scale"]).square().mean()
+        parts["far"] = F.relu(means.abs() - hinges["far"]).square().mean()
+        # The reference code penalizes opacities below the hinge; the paper's text, those above.
+        parts["faint"] = F.relu(hinges["opacity"] - opacity).square().mean()
+        parts["opacity"] = F.relu(opacity - hinges["opacity"]).square().mean()
     parts = {name: value for name, value in parts.items() if weights[name]}
     return sum(weights[name] * value for name, value in parts.items()), parts
 

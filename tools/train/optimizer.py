@@ -7,9 +7,8 @@ from parallel import distributed_like, full
 # First layer of the camera encoder, last of the head: Muon's steps, equally long in all
 # directions, do not suit these.
 ENDS = ("pose_branch.fc1.weight", "gaussian_head.1.weight")
-# Rates relative to the base rate, by setting: the pretrained backbone with its camera encoder, and
-# the blocks that refine scene tokens.
-SHARES = {"backbone_rate": ("backbone.",), "aggregator_rate": ("cross_attention.", "self_attention.")}
+# Rates relative to the base rate, by setting and start of the names.
+SHARES = {"camera_rate": "backbone.cam_enc.", "backbone_rate": "backbone."}
 
 
 class Optimizer:
@@ -19,7 +18,7 @@ class Optimizer:
         matrices, rest, shares = [], [], {}
         for name, p in model.named_parameters():
             (matrices if config["muon"] and p.ndim == 2 and not name.endswith(ENDS) else rest).append(p)
-            shares[p] = next((config[setting] for setting, prefixes in SHARES.items() if name.startswith(prefixes)), 1.0)
+            shares[p] = next((config[setting] for setting, prefix in SHARES.items() if name.startswith(prefix)), 1.0)
         self.parameters = list(model.parameters())
 
         def groups(parameters, decay):

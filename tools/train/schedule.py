@@ -53,7 +53,7 @@ def validate(config):
         expect("architecture.color_width", width, width >= 3 * count, f"{3 * count} at least, three channels for each of anchor_cells")
         least = 2 * (a["width"] + width)
         expect("architecture.head_hidden", a["head_hidden"], a["head_hidden"] >= least, f"{least} at least")
-    for name in ("backbone_rate", "aggregator_rate"):
+    for name in ("backbone_rate", "camera_rate"):
         rate = config[name]
         expect(name, rate, isinstance(rate, int | float) and 0 <= rate <= 1, "a share of the learning rate, 0 to 1")
     if a["family"] == "vggt":
