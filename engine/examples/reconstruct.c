@@ -60,7 +60,7 @@ int main(int argc, char **argv) {
     CHECK(zs_renderer_create(device, NULL, &renderer));
     CHECK(zs_renderer_set_reconstruction(renderer, reconstruction)); /* without a copy to the host */
     CHECK(zs_render(renderer, &camera, &picture, 1, NULL));
-    zs_image drawn = {sizeof drawn, ZS_PIXEL_RGBA8, SIDE, SIDE, 0, pixels, NULL, 0};
+    zs_image drawn = {sizeof drawn, ZS_PIXEL_RGBA8, SIDE, SIDE, 0, pixels, NULL, 0, NULL};
     CHECK(zs_image_save_png(&drawn, argv[3]));
     result = EXIT_SUCCESS;
 

@@ -30,7 +30,8 @@ class Sized(ctypes.Structure):
 
 
 class Image(Sized):
-    _fields_ = fields(format=i32, width=u32, height=u32, stride=i64, pixels=pointer, mask=pointer, mask_stride=i64)
+    _fields_ = fields(format=i32, width=u32, height=u32, stride=i64, pixels=pointer, mask=pointer, mask_stride=i64,
+                      depth=pointer)
 
 
 class Camera(Sized):
