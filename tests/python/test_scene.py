@@ -79,6 +79,8 @@ def test_edits_apply_in_order_and_count(scene: zipsplat.Scene) -> None:
     assert edited.edit_counts == [2 * len(scene), 2 * kept.sum(), 2 * kept.sum()] and len(edited) == 2 * kept.sum()
     expected = np.concatenate([scene.means[kept] * 2] * 2)
     assert np.allclose(np.sort(edited.means, axis=0), np.sort(expected, axis=0))
+    assert edited.edit_sources is not None and scene.edit_sources is None
+    assert np.array_equal(edited.means, np.concatenate([scene.means] * 2)[edited.edit_sources] * 2)
     assert len(scene.edit([("decimate", 0.5)])) == round(len(scene) / 2)
     camera = zipsplat.Camera.from_fov(64, 48, 40)
     assert len(scene.edit([("min_views", 1)], cameras=[camera])) < len(scene)
