@@ -38,6 +38,14 @@ fn known_depth_joins_the_loss() {
     assert!(none == 0.0 && all > 0.5 && metric != without, "{all}");
     assert!(metric == refined("--depth-loss @/place/depth").1, "bits differ from run to run");
     assert!(without == refined("--depth-loss @/place/depth --depth-weight 0").1);
+    // Named after the whole file, as masks may be.
+    folder.make("long");
+    for i in 0..6 {
+        let [from, to] =
+            [format!("place/depth/{i:03}.npy"), format!("long/{i:03}.png.npy")].map(|name| folder.path(&name));
+        std::fs::copy(from, to).expect("copied");
+    }
+    assert!(metric == refined("--depth-loss @/long").1);
     // As nerfstudio lists it.
     let listed = folder.text("place/transforms.json");
     let name = |i: usize| format!("\"file_path\": \"images/{i:03}.png\"");

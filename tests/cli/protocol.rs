@@ -281,6 +281,13 @@ fn tokens_are_refined_until_they_converge() {
     let names: Vec<&Value> = converged["means"].as_array().expect("means").iter().map(|line| &line[0]).collect();
     assert!(names.contains(&&json!("micro + TTO")) && names.contains(&&json!("micro + TTO, converged")), "{names:?}");
     assert_eq!((&few["evaluated"], &converged["evaluated"]), (&json!(2), &json!(2)));
+    // Each doubling gains much from points.
+    let points = "eval @/place --views 3 --weights @/micro.safetensors --input-size 28x28 --lpips none --json";
+    let steps = |options: &str| {
+        folder.run(&format!("{points} --refine 2 --init points {options}")).json()["refined"]["steps"].clone()
+    };
+    assert_eq!(steps(""), 2);
+    assert!(steps("--converge").as_u64().is_some_and(|steps| steps >= 8 && steps.is_power_of_two()));
     folder.run("eval @/data/one --views 2 --refine 1s --converge").fails(3, &["--converge", "a number of steps"]);
 }
 

@@ -139,7 +139,7 @@ pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
     write_atomic(path, |out| out.write_all(&bytes))
 }
 
-/// As [`save_jpeg`], with a focal length as of 35 mm film in millimeters, from which COLMAP starts.
+/// As [`save_jpeg`], with an EXIF focal length in millimeters for 35 mm film, COLMAP's initial one.
 pub fn save_jpeg_of_focal(image: &Image, focal: u16, path: &Path) -> Result<()> {
     let mut bytes = image.jpeg(QUALITY)?;
     let [low, high] = focal.to_le_bytes();

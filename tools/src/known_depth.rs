@@ -2,6 +2,7 @@
 
 use crate::{
     depth::{CamerasFrom, PredictorOptions},
+    lifted::values_file,
     npy,
     options::ArithmeticOption,
     outputs::DEPTH_LEVELS,
@@ -23,7 +24,7 @@ use zipsplat::{
     Error, Result,
     depth::DepthOptions,
     refine::{DepthKind, Photos},
-    types::{Camera, Image, Intrinsics, poses::CaptureView},
+    types::{Camera, Image, Intrinsics, named_after, poses::CaptureView},
 };
 
 /// File of `depth` with the depth of all its photos.
@@ -52,9 +53,9 @@ enum Source {
 }
 
 impl KnownDepth {
-    /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights of a depth network,
-    /// which predicts it. `cameras` are those of the refinement's photos, in a scene whose unit has
-    /// the length `unit`.
+    /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights of
+    /// a depth network that predicts it. `cameras` are those of the refinement's photos, in a scene
+    /// whose unit has the length `unit`.
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,
@@ -69,7 +70,10 @@ impl KnownDepth {
         let file = source.join(VALUES);
         let (kind, sources) = match (source.is_dir(), file.is_file()) {
             (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
-            (true, false) => (DepthKind::Metric, frames.iter().map(|frame| depth_file(source, frame)).collect()),
+            (true, false) => (
+                DepthKind::Metric,
+                frames.iter().map(|frame| values_file(source, &frame.name).map(Source::File)).collect(),
+            ),
             _ if source.extension().is_some_and(|extension| extension == "json") => {
                 (DepthKind::Metric, listed(source, frames)?)
             }
@@ -93,7 +97,7 @@ impl KnownDepth {
         Ok(Self { kind, maps: sources.into_iter().zip(frames).zip(cameras).map(map).collect(), unit })
     }
 
-    /// Returns what identifies the depth in a checkpoint.
+    /// Returns stamps of the depth for a checkpoint.
     pub fn stamps(&self) -> Result<Vec<String>> {
         let of = |map: &Option<DepthMap>| match map.as_ref().map(|map| &map.source) {
             None => Ok("no depth".to_owned()),
@@ -137,15 +141,6 @@ impl<P: Photos> Photos for WithDepth<'_, P> {
     }
 }
 
-fn named(folder: &Path, frame: &CaptureView, extension: &str) -> PathBuf {
-    folder.join(Path::new(&frame.name).file_stem().unwrap_or_default()).with_extension(extension)
-}
-
-fn depth_file(folder: &Path, frame: &CaptureView) -> Option<Source> {
-    let files = ["npy", "png"].map(|extension| named(folder, frame, extension));
-    files.into_iter().find(|file| file.is_file()).map(Source::File)
-}
-
 /// Finds the files that a transforms.json lists as `depth_file_path`.
 fn listed(file: &Path, frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     let text = std::fs::read_to_string(file).map_err(|error| Error::io(file, error))?;
@@ -164,7 +159,8 @@ pub fn read_npy(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) 
         let found = format!("{}, whose lens distorts", frame.name);
         return Err(Error::argument("--from-depth", found, "photos of a pinhole camera"));
     }
-    read_file(&named(folder, frame, "npy"), &frame.camera.intrinsics, &camera.intrinsics, unit)
+    let [long, short] = named_after(folder, Path::new(&frame.name), "npy");
+    read_file(if long.is_file() { &long } else { &short }, &frame.camera.intrinsics, &camera.intrinsics, unit)
 }
 
 /// Reads the depth of a whole photo, nearest sampled for a camera and divided by `unit`.

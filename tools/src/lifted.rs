@@ -53,6 +53,12 @@ impl PosedPhotos {
     }
 }
 
+/// Finds the values of a photo's pixels in a folder.
+pub fn values_file(folder: &Path, photo: &str) -> Option<PathBuf> {
+    let files = ["npy", "png"].map(|extension| named_after(folder, Path::new(photo), extension));
+    files.into_iter().flatten().find(|file| file.is_file())
+}
+
 /// Values of photos: files of a folder with the photos' names, and the photos' cameras.
 pub struct ValueFiles(Vec<(PathBuf, Camera, Option<Lens>)>);
 
@@ -62,8 +68,7 @@ impl ValueFiles {
         let (capture, to_scene) = photos.open(session, world)?;
         let mut files = Vec::new();
         for frame in &capture.frames {
-            let names = ["npy", "png"].map(|ext| named_after(folder, Path::new(&frame.name), ext));
-            let Some(file) = names.into_iter().flatten().find(|file| file.exists()) else { continue };
+            let Some(file) = values_file(folder, &frame.name) else { continue };
             files.push((file, fitted(&to_scene.apply(&frame.camera)), frame.lens));
         }
         if files.is_empty() {

@@ -123,7 +123,7 @@ impl Lens {
         Ok(Self { intrinsics, distortion: Distortion::Equirectangular, view: 0 })
     }
 
-    /// Returns the pinhole views that show the photo, of which the first looks along the axis.
+    /// Returns the pinhole views of the photo. The first looks along the axis.
     ///
     /// Up to [`MAX_VIEW_DEG`] across and down, that is one view of the photo's size: the widest that
     /// the photo fills, with its principal point, and with both focal lengths scaled by one zoom. So
@@ -194,7 +194,7 @@ impl Lens {
     }
 
     /// Returns the place in a photo of this size of each row and column of the shown view's
-    /// picture: NaN beyond what a cut photo shows.
+    /// picture: NaN outside a cut photo.
     ///
     /// # Errors
     /// As [`Lens::views`].

@@ -275,7 +275,7 @@ fn masks_are_cut_alike() {
         let expected = [0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.0, 1.0][i];
         assert!((share - expected).abs() < 0.02, "view {i}: {share}");
     }
-    // Fisheyes ignore what their circle does not show.
+    // Pixels outside a fisheye's image circle are masked.
     let lens = &LENSES[0];
     let capture = lens.capture(folder.path());
     let photo = picture(lens.size, |at| lens.ray(at));

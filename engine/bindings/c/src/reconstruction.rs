@@ -166,9 +166,8 @@ pub unsafe extern "C" fn zs_reconstruction_get_info(
     unsafe { describe(reconstruction, "reconstruction", info, of) }
 }
 
-/// Returns the patch tokens of the backbone's last layer, a cell per patch, of what the network saw
-/// of photo `index`: its center in the shape of the network's input. They belong to the
-/// reconstruction.
+/// Returns the patch tokens of the backbone's last layer, a cell per patch, for photo `index`: for
+/// its center crop with the aspect ratio of the network's input. They belong to the reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
     reconstruction: *const zs_reconstruction,

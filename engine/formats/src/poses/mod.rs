@@ -85,7 +85,7 @@ impl CaptureView {
         self.lens.map_or(photo, |lens| lens.view_size(photo))
     }
 
-    /// Returns the pose of the photo of which this is a view.
+    /// Returns the pose of the whole photo.
     fn photo_pose(&self) -> Pose {
         match self.lens.filter(|lens| lens.view > 0) {
             Some(lens) => {
