@@ -756,9 +756,8 @@ typedef struct zs_camera_estimate {
 zs_status zs_reconstruction_get_info(const struct zs_reconstruction *reconstruction,
                                      struct zs_reconstruction_info *info);
 
-// Returns the patch tokens of the backbone's last layer, a cell per patch, of what the network saw
-// of photo `index`: its center in the shape of the network's input. They belong to the
-// reconstruction.
+// Returns the patch tokens of the backbone's last layer, a cell per patch, for photo `index`: for
+// its center crop with the aspect ratio of the network's input. They belong to the reconstruction.
 zs_status zs_reconstruction_get_patch_tokens(const struct zs_reconstruction *reconstruction,
                                              size_t index,
                                              struct zs_pixel_values *tokens);
