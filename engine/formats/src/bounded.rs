@@ -54,7 +54,8 @@ pub fn bounded_views<P: Borrow<Image>>(
         };
         Ok(View { map: PixelMap::resized([photo.width, photo.height], [image.width, image.height]), image })
     };
-    let mut views = (0..count).into_par_iter().map(scaled).collect::<Result<Vec<View>>>()?;
+    let views: Vec<Result<View>> = (0..count).into_par_iter().map(scaled).collect();
+    let mut views = views.into_iter().collect::<Result<Vec<View>>>()?;
     let least = |side: fn(&Image) -> u32| views.iter().map(|view| side(&view.image)).min().unwrap_or_default();
     let (width, mut height) = (least(|image| image.width), least(|image| image.height));
     if fitting == Fitting::Width {

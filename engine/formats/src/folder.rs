@@ -27,7 +27,7 @@ impl Image {
             let expected = format!("files that end in {}", PHOTO_EXTENSIONS.join(", "));
             return Err(Error::argument(format!("photos in {}", path.display()), "none", expected));
         }
-        photos.par_iter().map(Self::open).collect()
+        photos.par_iter().map(Self::open).collect::<Vec<_>>().into_iter().collect()
     }
 }
 

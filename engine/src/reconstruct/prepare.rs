@@ -94,7 +94,9 @@ impl Model {
                 return Err(Error::Cancelled);
             }
             let next = views.len()..count.min(views.len() + rayon::current_num_threads());
-            views.extend(next.into_par_iter().map(|i| view(i, size)).collect::<Result<Vec<View>>>()?);
+            for view in next.into_par_iter().map(|i| view(i, size)).collect::<Vec<_>>() {
+                views.push(view?);
+            }
         }
         let of_views = cameras.map(|cameras| view_cameras(cameras, &views)).transpose()?;
         let scale = scene_scale(options, of_views.as_deref())?;

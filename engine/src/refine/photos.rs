@@ -141,7 +141,8 @@ impl<'a> PhotoCache<'a> {
             let photos = self.open(photo, if keep { self.factors(photo) } else { vec![factor] })?;
             Ok((keep, photos))
         });
-        for (keep, photos) in opened.collect::<Result<Vec<_>>>()? {
+        for opened in opened.collect::<Vec<Result<_>>>() {
+            let (keep, photos) = opened?;
             let to = if keep { &mut self.kept } else { &mut self.ahead };
             to.extend(photos);
         }

@@ -65,7 +65,7 @@ impl Photos {
             }
             Ok(Pyramid::new(&image))
         };
-        let pyramids = crops.par_iter().map(read).collect::<Result<_>>()?;
+        let pyramids = crops.par_iter().map(read).collect::<Vec<_>>().into_iter().collect::<Result<_>>()?;
         Ok(Self { crops, pyramids })
     }
 
