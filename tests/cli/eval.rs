@@ -262,6 +262,7 @@ fn cameras_are_disturbed_and_refined() {
         |options: &str| folder.run(&format!("{line} {options} --json")).json()["mean"]["psnr"].as_f64().expect("dB");
     let (exact, wrong, refined) = (psnr(""), psnr("--pose-noise 2"), psnr("--pose-noise 2 --optimize-cameras"));
     assert!(wrong < exact - 0.5 && refined > wrong, "{exact} dB, disturbed {wrong} dB, refined {refined} dB");
+    assert!(psnr("--seed 1") != exact && psnr("--seed 0") == exact);
     let text = folder.run(&format!("{line} --pose-noise 2 --optimize-cameras")).success();
     assert!(text.contains("cameras turned by"), "{text}");
 }

@@ -3,7 +3,7 @@
 use crate::Folder;
 use serde_json::Value;
 use zipsplat::ops::{Arithmetic, Precision};
-use zipsplat_tests::device::device;
+use zipsplat_tests::{device::device, processes::child};
 
 fn rows(folder: &Folder, line: &str) -> Vec<Value> {
     let rows = folder.run(&format!("bench {line} --warmup 1 --repeats 2 --json")).json();
@@ -285,4 +285,29 @@ fn gsplat_that_is_missing_is_named() {
     let line = "bench render --gaussians 50 --size 32x32 --warmup 0 --repeats 1";
     let folder = Folder::new();
     folder.run(&format!("{line} --gsplat=no-such-python")).fails(3, &["--gsplat", "no-such-python", "a CUDA GPU"]);
+}
+
+#[test]
+fn a_report_has_every_part_in_its_tables() {
+    const PROGRAM: &str = r#"#!/usr/bin/env bash
+cd "$(dirname "$0")" && echo "$*" > line && eval "$(cat words)" >&2
+python3 -c 'import json, sys; code, out, err = json.load(open("outcome")); print(out); print(err, file=sys.stderr); sys.exit(code)'"#;
+    let folder = Folder::new();
+    folder.script("program", PROGRAM);
+    let report = concat!(env!("CARGO_MANIFEST_DIR"), "/../tools/bench/report.sh");
+    let shell = format!("printf '%q ' \"$@\" > words; set -- {report} report");
+    let mut run = child("weights::runs_a_line", &folder.path(""), &shell);
+    run.current_dir(folder.path("")).env("ZIPSPLAT", folder.path("program"));
+    run.env("WEIGHTS", folder.path("micro.safetensors")).env("VIEWS", "1 2").env("SIZE", "28x28").env("SCENES", "200");
+    run.env("RUNS", "--warmup 0 --repeats 1").env("PARTS", "device peak forward refine absent");
+    let out = run.output().expect("bash");
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let results: Value = serde_json::from_str(&folder.text("report/results.json")).expect("JSON");
+    let names: Vec<_> = results.as_object().expect("parts").keys().map(String::as_str).collect();
+    assert_eq!(names, ["device", "forward-1", "forward-1-fp32", "forward-2", "forward-2-pool", "peak", "refine"]);
+    assert!(names.iter().all(|name| results[name]["failed"].is_null()), "{results}");
+    let tables = folder.text("report/tables.md");
+    let rows = |start: &str| tables.lines().filter(|line| line.starts_with(start)).count();
+    // Three ratios of each number of views, two pools, one in fp32.
+    assert_eq!((rows("| 1 | "), rows("| 2 | "), rows("| 200 | "), rows("| 102,000 | ")), (4, 5, 1, 1), "{tables}");
 }

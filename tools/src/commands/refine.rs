@@ -73,9 +73,6 @@ pub struct Refine {
     /// File for the refined cameras: a transforms.json in the world of the known cameras
     #[arg(long, value_name = "FILE", requires = "optimize_cameras")]
     cameras_out: Option<PathBuf>,
-    /// Random seed, for the order of the photos and growth
-    #[arg(long, value_name = "SEED", default_value_t = 0)]
-    seed: u64,
     /// Also print the settings, and each pass of a step with its time and memory
     #[arg(long)]
     explain: bool,
@@ -184,7 +181,6 @@ impl Refine {
     ) -> Result<(RefineResult, RefineOptions)> {
         let request = RefineOptions {
             views_per_step: self.views_per_step,
-            seed: self.seed,
             profile: self.explain,
             checkpoint: Some(checkpoint),
             ..self.settings.request(self.steps, self.input.antialiased, photos.1.map(|known| known.kind))

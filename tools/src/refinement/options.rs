@@ -139,9 +139,12 @@ pub struct RefineSettings {
     /// network's]
     #[arg(long, value_name = "WEIGHT", requires = "depth_loss", value_parser = parse_weight)]
     depth_weight: Option<f32>,
+    /// Random seed, for the order of the photos and growth
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
 }
 
-const SETTINGS: [&str; 8] = [
+const SETTINGS: [&str; 9] = [
     "init",
     "max_image_size",
     "holdout_views",
@@ -150,6 +153,7 @@ const SETTINGS: [&str; 8] = [
     "max_gaussians",
     "lpips_weight",
     "depth_loss",
+    "seed",
 ];
 
 /// Of commands that refine on request.
@@ -236,6 +240,7 @@ impl RefineSettings {
             depth_loss: depth_loss
                 .map(|loss| DepthLoss { weight: self.depth_weight.unwrap_or(loss.weight), ..loss })
                 .filter(|loss| loss.weight > 0.0),
+            seed: self.seed,
             ..RefineOptions::default()
         }
     }
