@@ -4,30 +4,18 @@ use super::pointers::Versioned;
 use glam::{DMat3, DVec3};
 use zipsplat::{Camera, Error, Intrinsics, Pose, Result};
 
-/// A pinhole camera with OpenCV axes: x right, y down, z forward. Lengths are in pixels, with
-/// centers at +0.5.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera {
-    /// sizeof(zs_camera).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Width.
     pub width: u32,
-    /// Height.
     pub height: u32,
-    /// Horizontal focal length.
     pub fx: f64,
-    /// Vertical focal length.
     pub fy: f64,
-    /// Principal point, from the left edge.
     pub cx: f64,
-    /// Principal point, from the top edge.
     pub cy: f64,
-    /// Camera-to-world rotation, row-major; columns right, down, forward.
     pub rotation: [f64; 9],
-    /// Camera center.
     pub translation: [f64; 3],
 }
 

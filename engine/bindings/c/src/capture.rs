@@ -16,7 +16,6 @@ use zipsplat::{
     types::poses::{CaptureView, write_frames},
 };
 
-/// Posed photos.
 pub struct zs_capture {
     pub(super) capture: Capture,
     views: Vec<View>,
@@ -29,33 +28,22 @@ struct View {
     camera: zs_camera,
 }
 
-/// Description of a capture.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_capture_info {
-    /// sizeof(zs_capture_info).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Number of photos.
     pub view_count: usize,
-    /// Warnings about ignored data.
     pub warnings: *const c_char,
 }
 
-/// A photo of a capture.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_capture_view {
-    /// sizeof(zs_capture_view).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Name in the file.
     pub name: *const c_char,
-    /// Path of the photo; NULL if not found.
     pub path: *const c_char,
-    /// Undistorted pinhole camera.
     pub camera: *const zs_camera,
 }
 
@@ -82,10 +70,6 @@ fn c_text(text: &str) -> CString {
     CString::new(text.replace('\0', " ")).expect("no NUL")
 }
 
-/// Opens a capture: a transforms.json (instant-ngp, nerfstudio), a COLMAP model folder, or a folder
-/// that contains either. World and scale stay the file's. Photos are read only for sizes that the
-/// file lacks. Photos of lenses wider than 110 degrees have several views, one after another and of
-/// one name.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
     // SAFETY: the caller's arguments.
@@ -94,7 +78,6 @@ pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut
     unsafe { produce(capture, open) }
 }
 
-/// Creates a capture from copies of pinhole cameras. Paths may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_create(
     views: *const zs_capture_view,
@@ -123,7 +106,6 @@ pub unsafe extern "C" fn zs_capture_create(
     unsafe { produce(capture, create) }
 }
 
-/// Writes cameras, names and lenses as a transforms.json (nerfstudio).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *const c_char) -> zs_status {
     guard(|| {
@@ -134,7 +116,6 @@ pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *cons
     })
 }
 
-/// Describes a capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_info(capture: *const zs_capture, info: *mut zs_capture_info) -> zs_status {
     let of = |zs_capture { views, warnings, .. }: &zs_capture| {
@@ -144,7 +125,6 @@ pub unsafe extern "C" fn zs_capture_get_info(capture: *const zs_capture, info: *
     unsafe { describe(capture, "capture", info, of) }
 }
 
-/// Returns photo `index`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_view(
     capture: *const zs_capture,
@@ -160,8 +140,6 @@ pub unsafe extern "C" fn zs_capture_get_view(
     unsafe { describe(capture, "capture", view, of) }
 }
 
-/// Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
-/// `index` is the number of photos. An ambiguous match is a ZS_ERROR_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_find(
     capture: *const zs_capture,
@@ -178,8 +156,6 @@ pub unsafe extern "C" fn zs_capture_find(
     })
 }
 
-/// Opens photo `index` undistorted, ignoring the EXIF orientation, from `path` or, if NULL, the
-/// capture's path.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open_image(
     capture: *const zs_capture,
@@ -191,7 +167,6 @@ pub unsafe extern "C" fn zs_capture_open_image(
     unsafe { produce(photo, || open(capture, index, path, |frame, path| frame.open(path))) }
 }
 
-/// As zs_capture_open_image, with the photo's mask.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open_masked_image(
     capture: *const zs_capture,
@@ -228,7 +203,6 @@ unsafe fn open(
     Ok(zs_image_buffer { image: open(frame, path)? })
 }
 
-/// Destroys a capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_destroy(capture: *mut zs_capture) {
     // SAFETY: NULL or given up by the caller.

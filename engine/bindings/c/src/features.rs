@@ -13,12 +13,6 @@ use zipsplat::{
     features::{FeatureRenderer, Features, PixelValues},
 };
 
-/// Lifts pixel values of `count` cameras, in the scene's world, to features: means over all pixels,
-/// weighted by the blending weights of `group` consecutive Gaussians, such as 1 or those of a
-/// token. `group` divides their number N.
-///
-/// `features` gets N / group x channels values, 0 for rows that no pixel shows; `weights`, unless
-/// NULL, N / group sums of blending weights in pixels. Both are written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_lift_features(
     renderer: *const zs_renderer,
@@ -59,9 +53,6 @@ pub unsafe extern "C" fn zs_lift_features(
     })
 }
 
-/// Draws features, N / group x channels values as of zs_lift_features, as pictures of `count`
-/// cameras: height x width x channels blended values each, one after the other, 0 where nothing is.
-/// `pictures` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_features(
     renderer: *const zs_renderer,

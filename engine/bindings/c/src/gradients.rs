@@ -12,54 +12,32 @@ use zipsplat::{
     stages::render::{Differentiator, HostGradients, Wanted},
 };
 
-/// Gradients of a loss with respect to one camera's outputs, in contiguous rows. NULL is 0.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_grad_outputs {
-    /// sizeof(zs_grad_outputs).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// height x width x 3.
     pub color: *const f32,
-    /// height x width.
     pub alpha: *const f32,
-    /// height x width.
     pub depth: *const f32,
 }
 
-/// Output buffers of gradients, which are overwritten; NULL skips one.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gradients {
-    /// sizeof(zs_gradients).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// N x 3.
     pub means: *mut f32,
-    /// N x 3.
     pub scales: *mut f32,
-    /// N x 4, of unnormalized rotations.
     pub quats: *mut f32,
-    /// N.
     pub opacities: *mut f32,
-    /// N x K x 3.
     pub sh_coeffs: *mut f32,
-    /// count x 10: w x, y, z, v x, y, z, fx, fy, cx, cy. The camera-to-world pose moves as pose o
-    /// (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     pub cameras: *mut f32,
-    /// count x N x 2: projected centers in pixels, at constant covariances.
     pub means2d: *mut f32,
 }
 
 versioned!(zs_grad_outputs, zs_gradients);
 
-/// Backpropagates `grad_outputs` of `count` cameras. Color is that of ZS_PIXEL_RGB_F32 for any
-/// format in the options. Zero-valued coefficients also get gradients.
-///
-/// `scene` may differ from the renderer's, which keeps a second scene on the device. NULL is the
-/// renderer's, unless it is a reconstruction's. `gradients` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,

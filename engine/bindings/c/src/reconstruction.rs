@@ -20,7 +20,6 @@ use zipsplat::{
     refine::FrozenHead,
 };
 
-/// A reconstruction's Gaussians on its device, with their relation to the photos.
 pub struct zs_reconstruction {
     pub(super) made: Reconstruction,
     pub(super) tokens: Option<ModelTokens>,
@@ -40,39 +39,25 @@ pub(super) struct ModelTokens {
 /// Camera, if found, number of inliers, number of patches.
 struct Estimate(Option<zs_camera>, u32, u32);
 
-/// Description of a reconstruction.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_reconstruction_info {
-    /// sizeof(zs_reconstruction_info).
     pub struct_size: u32,
-    /// 1 if ZS_REFINE_TARGET_TOKENS is possible.
     pub has_tokens: u32,
-    /// Number of photos.
     pub view_count: usize,
-    /// Number of kept tokens.
     pub token_count: usize,
-    /// Number of Gaussians.
     pub gaussian_count: usize,
-    /// Warnings.
     pub warnings: *const c_char,
-    /// Channels of zs_reconstruction_get_patch_tokens; 0 without features.
     pub channel_count: usize,
 }
 
-/// Estimated camera of a photo.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera_estimate {
-    /// sizeof(zs_camera_estimate).
     pub struct_size: u32,
-    /// Number of patches that agree with the camera.
     pub inliers: u32,
-    /// Number of patches.
     pub patches: u32,
-    /// 0.
     pub reserved: u32,
-    /// Camera of the whole photo in the scene's world; NULL without an estimate.
     pub camera: *const zs_camera,
 }
 
@@ -145,7 +130,6 @@ impl zs_reconstruction {
     }
 }
 
-/// Describes a reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_get_info(
     reconstruction: *const zs_reconstruction,
@@ -166,8 +150,6 @@ pub unsafe extern "C" fn zs_reconstruction_get_info(
     unsafe { describe(reconstruction, "reconstruction", info, of) }
 }
 
-/// Returns the patch tokens of the backbone's last layer, a cell per patch, for photo `index`: for
-/// its center crop with the aspect ratio of the network's input. They belong to the reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
     reconstruction: *const zs_reconstruction,
@@ -185,7 +167,6 @@ pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
     unsafe { describe(reconstruction, "reconstruction", tokens, of) }
 }
 
-/// Reads the scene from the device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_to_scene(
     reconstruction: *const zs_reconstruction,
@@ -197,8 +178,6 @@ pub unsafe extern "C" fn zs_reconstruction_to_scene(
     unsafe { produce(scene, read) }
 }
 
-/// Estimates the camera of photo `index` from its patches' Gaussians. The first call estimates all,
-/// with one field of view. Fails if no photo has an estimate, or for known cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     reconstruction: *const zs_reconstruction,
@@ -217,7 +196,6 @@ pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     unsafe { describe(reconstruction, "reconstruction", estimate, of) }
 }
 
-/// Destroys a reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_destroy(reconstruction: *mut zs_reconstruction) {
     // SAFETY: NULL or given up by the caller.
