@@ -61,7 +61,11 @@ fn exported(source: &str) -> Vec<String> {
     let generated = String::from_utf8(generated).expect("text");
     // Fields hold enumerations as integers, whose type has the enumeration's name and `_value`.
     let generated = generated.replace("_value ", " ").replace("_value;", ";");
-    declarations(&generated).into_iter().filter(|declaration| !is_of_enumeration(declaration)).map(enumeration).collect()
+    declarations(&generated)
+        .into_iter()
+        .filter(|declaration| !is_of_enumeration(declaration))
+        .map(enumeration)
+        .collect()
 }
 
 fn is_of_enumeration(declaration: &str) -> bool {

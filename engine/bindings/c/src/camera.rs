@@ -1,8 +1,11 @@
 //! Cameras.
 
-use super::pointers::Versioned;
+use super::{
+    pointers::{Versioned, read_array},
+    status::Failure,
+};
 use glam::{DMat3, DVec3};
-use zipsplat::{Camera, Error, Intrinsics, Pose, Result};
+use zipsplat::{Camera, Intrinsics, Pose};
 
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -19,7 +22,7 @@ pub struct zs_camera {
     pub translation: [f64; 3],
 }
 
-versioned!(zs_camera);
+versioned!(zs_camera { reserved });
 
 impl From<&Camera> for zs_camera {
     fn from(camera: &Camera) -> Self {
@@ -29,14 +32,18 @@ impl From<&Camera> for zs_camera {
     }
 }
 
-impl zs_camera {
-    pub(super) fn camera(&self) -> Result<Camera> {
-        let Self { reserved, width, height, fx, fy, cx, cy, .. } = *self;
-        if reserved != 0 {
-            return Err(Error::argument("zs_camera, reserved", reserved, "0"));
-        }
-        let rotation = DMat3::from_cols_array(&self.rotation).transpose();
-        let pose = Pose { rotation, translation: DVec3::from_array(self.translation) };
-        Ok(Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose })
+impl From<&zs_camera> for Camera {
+    fn from(camera: &zs_camera) -> Self {
+        let zs_camera { width, height, fx, fy, cx, cy, .. } = *camera;
+        let rotation = DMat3::from_cols_array(&camera.rotation).transpose();
+        let pose = Pose { rotation, translation: DVec3::from_array(camera.translation) };
+        Self { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
     }
+}
+
+/// # Safety
+/// As [`read_array`].
+pub(super) unsafe fn read_cameras(cameras: *const zs_camera, count: usize) -> Result<Vec<Camera>, Failure> {
+    // SAFETY: the caller's promise.
+    Ok(unsafe { read_array(cameras, count, "cameras") }?.iter().map(Camera::from).collect())
 }

@@ -3,7 +3,10 @@
 use super::{
     camera::zs_camera,
     image::{zs_image_buffer, zs_masks},
-    pointers::{Versioned, borrow, describe, destroy, optional_text, produce, put, read_array, read_given, text},
+    pointers::{
+        Versioned, borrow, c_text, describe, destroy, element, optional_text, produce, put, read_array, read_given,
+        text,
+    },
     status::{Failure, guard, zs_status},
 };
 use std::{
@@ -12,7 +15,7 @@ use std::{
     ptr::null,
 };
 use zipsplat::{
-    Capture, Image,
+    Camera, Capture, Image,
     types::poses::{CaptureView, write_frames},
 };
 
@@ -47,7 +50,7 @@ pub struct zs_capture_view {
     pub camera: *const zs_camera,
 }
 
-versioned!(zs_capture_info, zs_capture_view);
+versioned!(zs_capture_info { reserved }, zs_capture_view { reserved });
 
 impl From<Capture> for zs_capture {
     fn from(capture: Capture) -> Self {
@@ -59,15 +62,6 @@ impl From<Capture> for zs_capture {
         let views = capture.frames.iter().map(view).collect();
         Self { views, warnings: c_text(&capture.warnings.join("\n")), capture }
     }
-}
-
-fn at<T>(views: &[T], index: usize) -> Result<&T, Failure> {
-    let expected = || format!("a number below {}", views.len());
-    views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))
-}
-
-fn c_text(text: &str) -> CString {
-    CString::new(text.replace('\0', " ")).expect("no NUL")
 }
 
 #[unsafe(no_mangle)]
@@ -88,14 +82,12 @@ pub unsafe extern "C" fn zs_capture_create(
         // SAFETY: the caller's array.
         let views = unsafe { read_array(views, count, "views") }?;
         let view = |(i, view): (usize, &zs_capture_view)| {
-            if view.reserved != 0 {
-                return Err(Failure::argument(format!("view {i}, reserved"), view.reserved, "0"));
-            }
             // SAFETY: the caller's arguments.
             let (name, path, camera) = unsafe {
                 let (name, path) = (format!("name of view {i}"), format!("path of view {i}"));
-                (text(view.name, &name)?, optional_text(view.path, &path)?, read_given(view.camera)?.camera()?)
+                (text(view.name, &name)?, optional_text(view.path, &path)?, read_given(view.camera)?)
             };
+            let camera = Camera::from(&camera);
             camera.validate(&format!("camera {i}"))?;
             Ok(CaptureView { name: name.to_owned(), photo: path.map(Into::into), camera, lens: None })
         };
@@ -132,7 +124,7 @@ pub unsafe extern "C" fn zs_capture_get_view(
     view: *mut zs_capture_view,
 ) -> zs_status {
     let of = |capture: &zs_capture| {
-        let View { name, path, camera } = at(&capture.views, index)?;
+        let View { name, path, camera } = element(&capture.views, index)?;
         let path = path.as_ref().map_or(null(), |path| path.as_ptr());
         Ok(zs_capture_view { name: name.as_ptr(), path, camera, ..Versioned::new() })
     };
@@ -195,7 +187,7 @@ unsafe fn open(
 ) -> Result<zs_image_buffer, Failure> {
     // SAFETY: the caller's promise.
     let (capture, path) = unsafe { (borrow(capture, "capture")?, optional_text(path, "path")?) };
-    let frame = at(&capture.capture.frames, index)?;
+    let frame = element(&capture.capture.frames, index)?;
     let path = path.map(Path::new).or(frame.photo.as_deref());
     let path = path.ok_or_else(|| {
         Failure::argument(format!("photo {}", frame.name), "none", "one where the capture says it is, or a path")

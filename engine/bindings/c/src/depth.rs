@@ -5,7 +5,9 @@ use super::{
     device::zs_device,
     image::zs_image,
     model::{zs_precision, zs_precision_value},
-    pointers::{Versioned, borrow, describe, destroy, produce, read_array, read_versioned, text},
+    pointers::{
+        Versioned, borrow, c_text, describe, destroy, element, flag, meaning, produce, read_array, read_versioned, text,
+    },
     progress::{Reporter, zs_progress_callback},
     reconstruct::check_view_count,
     scene::zs_scene,
@@ -105,7 +107,13 @@ pub struct zs_depth_map {
     pub image_camera: *const zs_camera,
 }
 
-versioned!(zs_depth_model_options, zs_depth_model_info, zs_depth_options, zs_depth_result_info, zs_depth_map);
+versioned!(
+    zs_depth_model_options,
+    zs_depth_model_info,
+    zs_depth_options,
+    zs_depth_result_info { reserved },
+    zs_depth_map { reserved }
+);
 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_load(
@@ -123,9 +131,8 @@ pub unsafe extern "C" fn zs_depth_model_load(
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |fraction| reporter.fraction("weights", fraction);
         let model = DepthModel::from_checkpoint(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;
-        let warnings = [device.gpu.passed_over(), &chosen.warnings].concat().join("\n");
-        let warnings = CString::new(warnings).unwrap_or_default();
-        Ok(zs_depth_model { model, precision: chosen.precision, warnings })
+        let warnings = [device.gpu.passed_over(), &chosen.warnings].concat();
+        Ok(zs_depth_model { model, precision: chosen.precision, warnings: c_text(&warnings.join("\n")) })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(model, load) }
@@ -168,7 +175,8 @@ pub unsafe extern "C" fn zs_depth_predict(
         // SAFETY: the caller's arguments.
         let (zs_depth_model { model, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         check_view_count(image_count)?;
-        let by_rays = options.by_rays()?;
+        let by_rays = meaning("camera_source", options.camera_source, "zs_camera_source", [false, true])?;
+        let shares_focal = !flag("per_view_focal", options.per_view_focal)?;
         // SAFETY: the caller's arrays.
         let (images, known) = unsafe {
             (read_array(images, image_count, "images")?, read_array(options.cameras, options.camera_count, "cameras")?)
@@ -176,7 +184,7 @@ pub unsafe extern "C" fn zs_depth_predict(
         if !known.is_empty() && known.len() != images.len() {
             return Err(Failure::argument("number of cameras", known.len(), format!("0 or {image_count}")));
         }
-        let known: Vec<Camera> = known.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let known: Vec<Camera> = known.iter().map(Camera::from).collect();
         // SAFETY: the caller's pixels.
         let photo = |i: usize| unsafe { images[i].image(&format!("image {i}")) };
         let input_size = Some(options.input_size).filter(|size| *size > 0);
@@ -196,7 +204,7 @@ pub unsafe extern "C" fn zs_depth_predict(
                 known_cameras.into_iter().map(Some).collect()
             }
             None if !model.architecture().multi_view() => vec![None; images.len()],
-            None => found_cameras(&depths, &views, by_rays, options.per_view_focal == 0)?,
+            None => found_cameras(&depths, &views, by_rays, shares_focal)?,
         };
         let pair = |(camera, view): (&Option<Camera>, &View)| {
             let camera = camera.as_ref()?;
@@ -230,11 +238,9 @@ pub unsafe extern "C" fn zs_depth_result_get_map(
     map: *mut zs_depth_map,
 ) -> zs_status {
     let of = |zs_depth_result { depths, c_cameras, .. }: &zs_depth_result| {
-        let expected = || format!("a number below {}", depths.views.len());
-        let found = depths.views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
         let values = |values: &Option<Vec<f32>>| values.as_ref().map_or(null(), |values| values.as_ptr());
         let camera = |which: usize| c_cameras[index].as_ref().map_or(null(), |cameras| &raw const cameras[which]);
-        let DepthMap { depth, confidence, sky, .. } = found;
+        let DepthMap { depth, confidence, sky, .. } = element(&depths.views, index)?;
         Ok(zs_depth_map {
             width: depths.width,
             height: depths.height,
@@ -280,19 +286,6 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
 pub unsafe extern "C" fn zs_depth_result_destroy(depths: *mut zs_depth_result) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(depths) }
-}
-
-impl zs_depth_options {
-    fn by_rays(&self) -> Result<bool, Failure> {
-        if self.per_view_focal > 1 {
-            return Err(Failure::argument("per_view_focal", self.per_view_focal, "0 or 1"));
-        }
-        match self.camera_source {
-            0 => Ok(false),
-            1 => Ok(true),
-            other => Err(Failure::argument("camera_source", other, "a zs_camera_source")),
-        }
-    }
 }
 
 fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {

@@ -1,12 +1,12 @@
 //! Edits of scenes.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     pointers::{array, borrow, produce, read_array},
     scene::zs_scene,
     status::{Failure, zs_status},
 };
-use zipsplat::{Camera, Edit, Edited, Scene};
+use zipsplat::{Edit, Edited, Scene};
 
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +68,7 @@ pub unsafe extern "C" fn zs_scene_edit(
         // SAFETY: the caller's arrays.
         let (handles, edits, cameras) = unsafe {
             let handles = array(scenes, scene_count, "scenes")?;
-            (handles, read_array(edits, edit_count, "edits")?, read_array(cameras, camera_count, "cameras")?)
+            (handles, read_array(edits, edit_count, "edits")?, read_cameras(cameras, camera_count)?)
         };
         // SAFETY: the caller's objects.
         let scenes = handles.iter().map(|handle| unsafe { borrow(*handle, "scene") });
@@ -77,7 +77,6 @@ pub unsafe extern "C" fn zs_scene_edit(
             return Err(Failure::argument("number of scenes", 0, "1 or more"));
         };
         let edits = edits.iter().map(zs_edit::edit).collect::<Result<Vec<Edit>, _>>()?;
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
         }

@@ -1,7 +1,7 @@
 //! Features: values of any number of channels, held by Gaussians or tokens.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     image::zs_pixel_values,
     pointers::{array, array_mut, borrow, read_array},
     renderer::zs_renderer,
@@ -9,7 +9,7 @@ use super::{
     status::{Failure, guard, zs_status},
 };
 use zipsplat::{
-    Camera, Scene,
+    Scene,
     features::{FeatureRenderer, Features, PixelValues},
 };
 
@@ -27,10 +27,10 @@ pub unsafe extern "C" fn zs_lift_features(
 ) -> zs_status {
     guard(|| {
         // SAFETY: the caller's arguments.
-        let (renderer, scene, values) =
-            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, read_array(values, count, "values")?) };
-        // SAFETY: the caller's arguments.
-        let cameras = unsafe { checked(cameras, count) }?;
+        let (renderer, scene, values, cameras) = unsafe {
+            let (renderer, scene) = (borrow(renderer, "renderer")?, borrow(scene, "scene")?);
+            (renderer, scene, read_array(values, count, "values")?, read_cameras(cameras, count)?)
+        };
         let plane = |(i, given): (usize, &zs_pixel_values)| {
             let len = (given.width as usize).saturating_mul(given.height as usize).saturating_mul(channels);
             // SAFETY: the caller's memory, as large as the structure says.
@@ -67,7 +67,7 @@ pub unsafe extern "C" fn zs_render_features(
     guard(|| {
         // SAFETY: the caller's arguments.
         let (renderer, scene, cameras) =
-            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, checked(cameras, count)?) };
+            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, read_cameras(cameras, count)?) };
         let scene: &Scene = &scene.scene;
         let len = (scene.len() / group.max(1)).saturating_mul(channels);
         // SAFETY: the caller's memory, as long as documented.
@@ -84,14 +84,6 @@ pub unsafe extern "C" fn zs_render_features(
         }
         Ok(())
     })
-}
-
-/// # Safety
-/// As [`read_array`].
-unsafe fn checked(cameras: *const zs_camera, count: usize) -> Result<Vec<Camera>, Failure> {
-    // SAFETY: the caller's promise.
-    let cameras = unsafe { read_array(cameras, count, "cameras") }?;
-    Ok(cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?)
 }
 
 fn with<T>(

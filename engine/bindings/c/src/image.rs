@@ -1,7 +1,7 @@
 //! Images.
 
 use super::{
-    pointers::{Versioned, array, describe, destroy, optional_text, produce, read_given, text},
+    pointers::{Versioned, array, describe, destroy, flag, meaning, optional_text, produce, read_given, text},
     status::{Failure, guard, zs_status},
 };
 use std::ffi::{c_char, c_void};
@@ -26,9 +26,8 @@ pub(super) type zs_pixel_format_value = i32;
 
 impl zs_pixel_format {
     pub(super) fn of(value: i32) -> Result<Self> {
-        let all = [ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32];
-        let found = all.into_iter().find(|format| *format as i32 == value);
-        found.ok_or_else(|| Error::argument("pixel format", value, "a zs_pixel_format"))
+        let all = [ZS_PIXEL_RGBA8, ZS_PIXEL_RGB8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32];
+        meaning("pixel format", value, "zs_pixel_format", all)
     }
 
     pub(super) fn bytes(self) -> usize {
@@ -77,7 +76,7 @@ pub struct zs_pixel_values {
     pub values: *const f32,
 }
 
-versioned!(zs_image, zs_masks, zs_pixel_values);
+versioned!(zs_image, zs_masks, zs_pixel_values { reserved });
 
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
@@ -211,11 +210,8 @@ impl zs_masks {
             let masks = read_given(masks)?;
             (masks, optional_text(masks.folder, "folder")?)
         };
-        if masks.inverted > 1 {
-            return Err(Failure::argument("inverted", masks.inverted, "0 or 1"));
-        }
         let source = folder.map_or(MaskSource::Alpha, |folder| MaskSource::Folder(folder.into()));
-        Ok(Masks { source, inverted: masks.inverted == 1 })
+        Ok(Masks { source, inverted: flag("inverted", masks.inverted)? })
     }
 }
 

@@ -2,7 +2,9 @@
 
 use super::{
     device::zs_device,
-    pointers::{Versioned, array, borrow, describe, destroy, optional_text, produce, read_versioned, text},
+    pointers::{
+        Versioned, array, borrow, c_text, describe, destroy, flag, optional_text, produce, read_versioned, text,
+    },
     progress::{Reporter, zs_progress_callback},
     status::{Failure, zs_status},
 };
@@ -47,7 +49,7 @@ pub struct zs_model_info {
     pub warnings: *const c_char,
 }
 
-versioned!(zs_model_options, zs_model_info);
+versioned!(zs_model_options { reserved }, zs_model_info);
 
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -164,21 +166,15 @@ unsafe fn load(
         // SAFETY: the caller's objects.
         let (device, options) = unsafe { (borrow(device, "device")?, read_versioned(options)?) };
         let chosen = KernelChoice::of(&device.gpu, zs_precision::wanted(options.precision)?)?;
-        if options.reserved != 0 {
-            return Err(Failure::argument("zs_model_options, reserved", options.reserved, "0"));
-        }
-        if options.tokens > 1 {
-            return Err(Failure::argument("tokens", options.tokens, "0 or 1"));
-        }
+        let has_tokens = flag("tokens", options.tokens)?;
         // SAFETY: the caller's arguments.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |fraction| reporter.fraction("weights", fraction);
         let model = Model::from_checkpoint_with(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;
-        let head = (options.tokens == 1).then(|| FrozenHead::load(&device.gpu, &checkpoint)).transpose()?;
-        // Names of kernels and devices contain no NUL.
+        let head = has_tokens.then(|| FrozenHead::load(&device.gpu, &checkpoint)).transpose()?;
         let warnings = [device.gpu.passed_over(), &chosen.warnings, checkpoint.notes()].concat();
-        let warnings = CString::new(warnings.join("\n")).unwrap_or_default();
+        let warnings = c_text(&warnings.join("\n"));
         Ok(zs_model { model, head: head.map(Arc::new), precision: chosen.precision, warnings })
     };
     // SAFETY: the caller's pointer.

@@ -1,8 +1,8 @@
 //! Progress.
 
-use super::pointers::Versioned;
+use super::pointers::{Versioned, c_text};
 use std::{
-    ffi::{CString, c_char, c_void},
+    ffi::{c_char, c_void},
     ops::ControlFlow,
 };
 
@@ -30,7 +30,7 @@ pub struct zs_progress {
     pub eta_seconds: f64,
 }
 
-versioned!(zs_progress);
+versioned!(zs_progress { reserved });
 
 pub type zs_progress_callback =
     Option<unsafe extern "C" fn(user_data: *mut c_void, progress: *const zs_progress) -> zs_progress_action_value>;
@@ -45,7 +45,7 @@ pub(super) struct Reporter {
 impl Reporter {
     pub(super) fn report(self, stage: &str, progress: zs_progress) -> zs_progress_action {
         let Some(callback) = self.callback else { return zs_progress_action::ZS_CONTINUE };
-        let stage = CString::new(stage).unwrap_or_default();
+        let stage = c_text(stage);
         let progress = zs_progress { stage: stage.as_ptr(), ..progress };
         // SAFETY: the caller's function, with the caller's data.
         match unsafe { callback(self.user_data, &progress) } {

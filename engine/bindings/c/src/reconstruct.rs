@@ -1,11 +1,11 @@
 //! Reconstruction: photos to a scene.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     capture::zs_capture,
     image::zs_image,
     model::zs_model,
-    pointers::{borrow, produce, read_array, read_versioned},
+    pointers::{borrow, flag, meaning, produce, read_array, read_versioned},
     progress::{Reporter, zs_progress_callback},
     reconstruction::{ModelTokens, zs_reconstruction},
     scene::zs_world_value,
@@ -60,7 +60,7 @@ pub struct zs_reconstruct_options {
     pub reserved: u32,
 }
 
-versioned!(zs_reconstruct_options);
+versioned!(zs_reconstruct_options { reserved });
 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct(
@@ -73,14 +73,14 @@ pub unsafe extern "C" fn zs_reconstruct(
     let reconstruct = || {
         // SAFETY: the caller's arguments.
         let (zs_model, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
-        let (zs_model { model, head, .. }, keeps) = (zs_model, options.keeps_features()?);
+        let zs_model { model, head, .. } = zs_model;
+        let keeps = flag("keep_features", options.keep_features)?;
         check_view_count(image_count)?;
         // SAFETY: the caller's arguments.
         let (images, cameras, capture) = unsafe {
             let images = read_array(images, image_count, "images")?;
-            (images, read_array(options.cameras, options.camera_count, "cameras")?, options.capture.as_ref())
+            (images, read_cameras(options.cameras, options.camera_count)?, options.capture.as_ref())
         };
-        let cameras = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let wanted = options.engine(cameras, capture)?;
         // SAFETY: the caller's pixels.
         let view = |i: usize, [width, height]: [u32; 2]| {
@@ -155,36 +155,20 @@ pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
 }
 
 impl zs_reconstruct_options {
-    fn keeps_features(&self) -> Result<bool, Failure> {
-        match (self.keep_features, self.reserved) {
-            (keep @ (0 | 1), 0) => Ok(keep == 1),
-            (0 | 1, other) => Err(Failure::argument("zs_reconstruct_options, reserved", other, "0")),
-            (other, _) => Err(Failure::argument("keep_features", other, "0 or 1")),
-        }
-    }
-
     fn engine(&self, cameras: Vec<Camera>, capture: Option<&zs_capture>) -> Result<ReconstructOptions, Failure> {
+        let selections = [TokenSelection::KMEANS, TokenSelection::Stride, TokenSelection::Random(self.seed)];
+        let worlds = [None, Some(SceneFrame::FirstCamera), Some(SceneFrame::InputCameras)];
         Ok(ReconstructOptions {
             ratio: match self.ratio {
                 ZS_RATIO_AUTO => Ratio::Auto,
                 0.0 => Ratio::Fixed(1.0),
                 ratio => Ratio::Fixed(ratio),
             },
-            token_selection: match self.token_selection {
-                0 => TokenSelection::KMEANS,
-                1 => TokenSelection::Stride,
-                2 => TokenSelection::Random(self.seed),
-                other => return Err(Failure::argument("token_selection", other, "a zs_token_selection")),
-            },
+            token_selection: meaning("token_selection", self.token_selection, "zs_token_selection", selections)?,
             cameras: (!cameras.is_empty()).then_some(cameras),
             scene_scale: (self.scene_scale != ZS_SCENE_SCALE_AUTO).then_some(self.scene_scale),
             capture: capture.map(|capture| capture.capture.clone()),
-            world: match self.world {
-                0 => None,
-                1 => Some(SceneFrame::FirstCamera),
-                2 => Some(SceneFrame::InputCameras),
-                other => return Err(Failure::argument("world", other, "a zs_world")),
-            },
+            world: meaning("world", self.world, "zs_world", worlds)?,
             input_size: (self.input_size != [0; 2]).then_some(self.input_size),
             kv_pool: self.kv_pool.max(1) as usize,
         })

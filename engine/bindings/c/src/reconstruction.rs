@@ -3,7 +3,7 @@
 use super::{
     camera::zs_camera,
     image::zs_pixel_values,
-    pointers::{Versioned, borrow, describe, destroy, produce},
+    pointers::{Versioned, borrow, c_text, describe, destroy, element, produce},
     scene::zs_scene,
     status::{Failure, zs_status},
 };
@@ -61,11 +61,11 @@ pub struct zs_camera_estimate {
     pub camera: *const zs_camera,
 }
 
-versioned!(zs_reconstruction_info, zs_camera_estimate);
+versioned!(zs_reconstruction_info, zs_camera_estimate { reserved });
 
 impl zs_reconstruction {
     pub(super) fn new(made: Reconstruction, tokens: Option<ModelTokens>, arena: Arena, warnings: String) -> Self {
-        let warnings = CString::new(warnings).unwrap_or_default();
+        let warnings = c_text(&warnings);
         Self {
             made,
             tokens,
@@ -157,10 +157,7 @@ pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
     tokens: *mut zs_pixel_values,
 ) -> zs_status {
     let of = |reconstruction: &zs_reconstruction| {
-        let views = reconstruction.patch_tokens()?;
-        let expected = || format!("a number below {}", views.len());
-        let PixelValues { width, height, values, .. } =
-            views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
+        let PixelValues { width, height, values, .. } = element(reconstruction.patch_tokens()?, index)?;
         Ok(zs_pixel_values { width: *width, height: *height, values: values.as_ptr(), ..Versioned::new() })
     };
     // SAFETY: the caller's arguments.
@@ -185,10 +182,7 @@ pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     estimate: *mut zs_camera_estimate,
 ) -> zs_status {
     let of = |reconstruction: &zs_reconstruction| {
-        let estimates = reconstruction.estimates()?;
-        let expected = || format!("a number below {}", estimates.len());
-        let Estimate(camera, inliers, patches) =
-            estimates.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
+        let Estimate(camera, inliers, patches) = element(reconstruction.estimates()?, index)?;
         let camera = camera.as_ref().map_or(null(), |camera| &raw const *camera);
         Ok(zs_camera_estimate { inliers: *inliers, patches: *patches, camera, ..Versioned::new() })
     };

@@ -6,7 +6,7 @@ use super::{
     camera::zs_camera,
     device::zs_device,
     image::zs_image,
-    pointers::{Versioned, borrow, produce},
+    pointers::{Versioned, borrow, flag, meaning, produce},
     progress::zs_progress_callback,
     reconstruction::{ModelTokens, zs_reconstruction},
     scene::zs_scene,
@@ -54,13 +54,8 @@ pub(super) type zs_antialiasing_value = i32;
 
 impl zs_antialiasing {
     /// `None` for the scene's.
-    pub(super) fn of(value: zs_antialiasing_value) -> Result<Option<bool>, Failure> {
-        match value {
-            0 => Ok(None),
-            1 => Ok(Some(true)),
-            2 => Ok(Some(false)),
-            other => Err(Failure::argument("antialiasing", other, "a zs_antialiasing")),
-        }
+    pub(super) fn of(value: zs_antialiasing_value) -> Result<Option<bool>, Error> {
+        meaning("antialiasing", value, "zs_antialiasing", [None, Some(true), Some(false)])
     }
 }
 
@@ -125,7 +120,7 @@ pub struct zs_refine_result {
     pub exposures: *mut f32,
 }
 
-versioned!(zs_refine_options, zs_refine_result);
+versioned!(zs_refine_options { reserved }, zs_refine_result);
 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine_scene(
@@ -144,9 +139,9 @@ pub unsafe extern "C" fn zs_refine_scene(
             let (device, scene) = (borrow(device, "device")?, borrow(scene, "scene")?);
             (device, scene, Inputs::read(images, cameras, count, options, result)?)
         };
-        if inputs.options.target != zs_refine_target::ZS_REFINE_TARGET_GAUSSIANS as i32 {
+        if inputs.refines_tokens {
             let expected = "ZS_REFINE_TARGET_GAUSSIANS: zs_refine_reconstruction refines tokens";
-            return Err(Failure::argument("target of a scene", inputs.options.target, expected));
+            return Err(Failure::argument("target of a scene", "tokens", expected));
         }
         let arena = Arena::new(&device.gpu);
         let found = inputs.run(|photos, cameras, options, progress| {
@@ -177,7 +172,7 @@ pub unsafe extern "C" fn zs_refine_reconstruction(
             (reconstruction, Inputs::read(images, cameras, count, options, result)?)
         };
         let zs_reconstruction { made, tokens, arena, .. } = reconstruction;
-        let found = if inputs.options.target == zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32 {
+        let found = if inputs.refines_tokens {
             let Some(tokens) = tokens else {
                 let expected = "one of a model that was loaded with tokens = 1";
                 return Err(Failure::argument("reconstruction", "one without tokens", expected));
@@ -204,24 +199,12 @@ impl zs_refine_options {
     fn engine(&self) -> Result<RefineOptions, Failure> {
         let default = RefineOptions::default();
         let or = |number: u32, default: u32| if number == 0 { default } else { number };
-        if self.optimize_cameras > 1 {
-            return Err(Failure::argument("optimize_cameras", self.optimize_cameras, "0 or 1"));
-        }
         if !(self.perceptual_weight.is_finite() && self.perceptual_weight >= 0.0) {
             return Err(Failure::argument("perceptual_weight", self.perceptual_weight, "0 or a positive number"));
         }
-        if !(0..=zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32).contains(&self.target) {
-            return Err(Failure::argument("target", self.target, "a zs_refine_target"));
-        }
         let modes = [Exposure::Auto, Exposure::Off, Exposure::On];
-        let exposure = usize::try_from(self.exposure).ok().and_then(|mode| modes.get(mode).copied());
-        let exposure = exposure.ok_or_else(|| Failure::argument("exposure", self.exposure, "a zs_exposure_mode"))?;
-        let depth_loss = match self.depth_loss {
-            0 => None,
-            1 => Some(DepthLoss::of(DepthKind::Metric)),
-            2 => Some(DepthLoss::of(DepthKind::Relative)),
-            other => return Err(Failure::argument("depth_loss", other, "a zs_depth_loss")),
-        };
+        let depth_kinds = [None, Some(DepthKind::Metric), Some(DepthKind::Relative)];
+        let depth_loss = meaning("depth_loss", self.depth_loss, "zs_depth_loss", depth_kinds)?.map(DepthLoss::of);
         if !(self.depth_weight.is_finite() && self.depth_weight >= 0.0) {
             return Err(Failure::argument("depth_weight", self.depth_weight, "0 or a positive number"));
         }
@@ -244,8 +227,8 @@ impl zs_refine_options {
             views_per_step: or(self.views_per_step, default.views_per_step as u32) as usize,
             max_image_size: default.max_image_size.map(|sides| [0, 1].map(|i| or(self.max_image_size[i], sides[i]))),
             holdout_views,
-            optimize_cameras: self.optimize_cameras == 1,
-            exposure,
+            optimize_cameras: flag("optimize_cameras", self.optimize_cameras)?,
+            exposure: meaning("exposure", self.exposure, "zs_exposure_mode", modes)?,
             max_gaussians: (self.max_gaussians > 0).then_some(self.max_gaussians),
             perceptual_loss: (self.perceptual_weight > 0.0)
                 .then_some(PerceptualLoss { weight: self.perceptual_weight, network: LpipsNetwork::Vgg }),

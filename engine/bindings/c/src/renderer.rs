@@ -1,10 +1,10 @@
 //! Renderers: draw a scene from a device into host memory.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     device::zs_device,
     image::{checked_stride, zs_pixel_format, zs_pixel_format_value},
-    pointers::{array_mut, borrow, destroy, produce, read_array, read_given, read_versioned},
+    pointers::{array_mut, borrow, destroy, meaning, produce, read_array, read_given, read_versioned},
     reconstruction::zs_reconstruction,
     refine::{zs_antialiasing, zs_antialiasing_value},
     scene::{zs_gaussians, zs_scene},
@@ -15,7 +15,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 use zipsplat::{
-    Camera, Depth, RenderOptions, RenderOutput, Renderer, Scene,
+    Depth, RenderOptions, RenderOutput, Renderer, Scene,
     features::FeatureRenderer,
     stages::render::{Differentiator, MAX_SIDE},
 };
@@ -89,7 +89,7 @@ pub struct zs_render_buffers {
     pub normals: *mut f32,
 }
 
-versioned!(zs_render_options, zs_render_buffers);
+versioned!(zs_render_options, zs_render_buffers { reserved });
 
 const PIXELS_AT_ONCE: u64 = 1 << 24;
 
@@ -184,12 +184,10 @@ pub unsafe extern "C" fn zs_render(
     guard(|| {
         // SAFETY: the caller's arguments.
         let (renderer, options, cameras, pictures) = unsafe {
-            let (cameras, pictures) =
-                (read_array(cameras, count, "cameras")?, read_array(pictures, count, "pictures")?);
+            let (cameras, pictures) = (read_cameras(cameras, count)?, read_array(pictures, count, "pictures")?);
             (borrow(renderer, "renderer")?, read_versioned(options)?, cameras, pictures)
         };
         let format = options.checked()?;
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let mut strides = Vec::with_capacity(count);
         for (i, (camera, picture)) in cameras.iter().zip(&pictures).enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -197,9 +195,6 @@ pub unsafe extern "C" fn zs_render(
             if width.max(height) > MAX_SIDE {
                 let (found, expected) = (format!("{width} x {height}"), format!("sides up to {MAX_SIDE}"));
                 return Err(Failure::argument(format!("size of camera {i}"), found, expected));
-            }
-            if picture.reserved != 0 {
-                return Err(Failure::argument(format!("picture {i}, reserved"), picture.reserved, "0"));
             }
             let row_bytes = width as usize * format.bytes();
             let name = format!("picture {i}, stride");
@@ -247,11 +242,7 @@ impl zs_render_options {
     }
 
     pub(super) fn outputs(&self, rgb: bool, alpha: bool, wants_depth: bool) -> Result<RenderOptions, Failure> {
-        let depth = match self.depth {
-            0 => Depth::Expected,
-            1 => Depth::Accumulated,
-            other => return Err(Failure::argument("depth", other, "a zs_depth_mode")),
-        };
+        let depth = meaning("depth", self.depth, "zs_depth_mode", [Depth::Expected, Depth::Accumulated])?;
         let antialiased = zs_antialiasing::of(self.antialiasing)?;
         Ok(RenderOptions {
             rgb,

@@ -1,10 +1,10 @@
 //! Scenes in arrays, files and bytes.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     pointers::{
-        Versioned, array, borrow, describe, destroy, optional_text, produce, put, read_array, read_given,
-        read_versioned, text,
+        Versioned, array, borrow, describe, destroy, flag, optional_text, produce, put, read_given, read_versioned,
+        text,
     },
     status::{Failure, guard, zs_status},
 };
@@ -13,7 +13,7 @@ use std::{
     sync::Arc,
 };
 use zipsplat::{
-    Camera, SaveOptions, Scene,
+    SaveOptions, Scene,
     types::{Origin, PointCloud, SceneFormat, World, read_world},
 };
 
@@ -95,7 +95,7 @@ pub struct zs_scene_info {
     pub dropped_count: usize,
 }
 
-versioned!(zs_gaussians, zs_scene_save_options, zs_scene_open_options, zs_scene_info);
+versioned!(zs_gaussians { reserved }, zs_scene_save_options, zs_scene_open_options, zs_scene_info);
 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_info(scene: *const zs_scene, info: *mut zs_scene_info) -> zs_status {
@@ -156,12 +156,6 @@ impl zs_gaussians {
             let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
             return Err(Failure::argument("gaussians, sh_degree", self.sh_degree, expected));
         }
-        if self.antialiased > 1 {
-            return Err(Failure::argument("gaussians, antialiased", self.antialiased, "0 or 1"));
-        }
-        if self.reserved != 0 {
-            return Err(Failure::argument("gaussians, reserved", self.reserved, "0"));
-        }
         let n = self.count;
         if n > MAX_GAUSSIANS {
             return Err(Failure::argument("gaussians", n, format!("at most {MAX_GAUSSIANS}")));
@@ -180,7 +174,7 @@ impl zs_gaussians {
             fill(&mut scene.sh_coeffs, array(self.sh_coeffs.cast(), n * k, "sh_coeffs")?);
         }
         scene.sh_degree = self.sh_degree;
-        scene.antialiased = self.antialiased == 1;
+        scene.antialiased = flag("gaussians, antialiased", self.antialiased)?;
         Ok(())
     }
 }
@@ -201,12 +195,11 @@ pub unsafe extern "C" fn zs_scene_from_points(
         // SAFETY: the caller's arrays.
         let (positions, colors, cameras) = unsafe {
             let colors = if colors.is_null() { &[] } else { array(colors.cast(), count, "colors")? };
-            (array(positions.cast(), count, "positions")?, colors, read_array(cameras, camera_count, "cameras")?)
+            (array(positions.cast(), count, "positions")?, colors, read_cameras(cameras, camera_count)?)
         };
         if positions.as_flattened().iter().any(|value: &f32| !value.is_finite()) {
             return Err(Failure::argument("positions", "NaN or infinity", "finite numbers"));
         }
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let cloud = PointCloud { positions: positions.to_vec(), colors: colors.to_vec() };
         Ok(Scene::from_points(&cloud, &cameras)?.into())
     };
@@ -256,11 +249,7 @@ pub unsafe extern "C" fn zs_scene_from_memory(
 
 impl zs_scene_open_options {
     fn drops(&self) -> Result<bool, Failure> {
-        match self.drop_invalid {
-            0 => Ok(false),
-            1 => Ok(true),
-            other => Err(Failure::argument("drop_invalid", other, "0 or 1")),
-        }
+        flag("drop_invalid", self.drop_invalid)
     }
 
     fn checked(&self, mut scene: Scene) -> Result<zs_scene, Failure> {

@@ -13,6 +13,7 @@ use std::{
     sync::LazyLock,
 };
 use zipsplat::{
+    Camera,
     gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, fast_requirements, requirements},
     stages::render::PixelLayout,
 };
@@ -86,7 +87,7 @@ pub struct zs_vulkan_target {
     pub signals: *const zs_semaphore_point,
 }
 
-versioned!(zs_vulkan_device, zs_vulkan_target);
+versioned!(zs_vulkan_device { reserved }, zs_vulkan_target { reserved });
 
 const SHADER_READ_ONLY: i32 = 5;
 
@@ -131,9 +132,6 @@ pub unsafe extern "C" fn zs_device_from_vulkan(
     let adopt = || {
         // SAFETY: the caller's structure.
         let given = unsafe { read_versioned(vulkan) }?;
-        if given.reserved != 0 {
-            return Err(Failure::argument("zs_vulkan_device.reserved", given.reserved, "0"));
-        }
         let user_data = UserData(given.user_data);
         let queue_lock = match (given.lock_queue, given.unlock_queue) {
             (Some(lock), Some(unlock)) => Some(QueueLock {
@@ -189,7 +187,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
     guard(|| {
         // SAFETY: the caller's arguments.
         let (renderer, camera, options) =
-            unsafe { (borrow(renderer, "renderer")?, read_given(camera)?.camera()?, read_versioned(options)?) };
+            unsafe { (borrow(renderer, "renderer")?, Camera::from(&read_given(camera)?), read_versioned(options)?) };
         if !renderer.adopted {
             return Err(Failure::argument(
                 "renderer",
@@ -216,15 +214,14 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
 impl zs_vulkan_target {
     /// # Safety
     /// The handles meet the documented requirements.
-    unsafe fn target(&self, camera: &zipsplat::types::Camera, layout: PixelLayout) -> Result<Target, Failure> {
+    unsafe fn target(&self, camera: &Camera, layout: PixelLayout) -> Result<Target, Failure> {
         let points = |pointer, count: usize, name| {
             // SAFETY: the caller's array.
             let points = unsafe { array::<zs_semaphore_point>(pointer, count, name) }?;
             Ok::<_, Failure>(points.iter().map(|p| Point { semaphore: p.semaphore, value: p.value }).collect())
         };
-        if self.reserved != 0 || (self.image == 0) == (self.buffer == 0) {
-            let found = if self.reserved != 0 { "a reserved field in use" } else { "both or none" };
-            return Err(Failure::argument("zs_vulkan_target", found, "an image or a buffer"));
+        if (self.image == 0) == (self.buffer == 0) {
+            return Err(Failure::argument("zs_vulkan_target", "both or none", "an image or a buffer"));
         }
         let waits = points(self.waits, self.wait_count, "waits")?;
         let signals = points(self.signals, self.signal_count, "signals")?;
