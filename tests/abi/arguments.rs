@@ -168,7 +168,6 @@ fn progress_is_told_and_can_stop() {
     reconstruct(&model, &images, &reconstruct_options());
 }
 
-/// Records a callback's messages and thread, and stops the call.
 struct CallLog {
     stages: Vec<(f64, String)>,
     most: usize,

@@ -277,7 +277,6 @@ fn alike(image: &Image, to: &Image) -> Image {
     resize_lanczos(image, to.width, to.height).expect("neither is empty")
 }
 
-/// `[height][width][rgb]` in 0..1.
 pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
     let frame = renderer.render(&[*camera], &RenderOptions::default())?.remove(0);
     Ok(frame.rgb.unwrap_or_default().into_iter().map(|value| value.clamp(0.0, 1.0)).collect())

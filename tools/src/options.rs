@@ -337,7 +337,6 @@ impl FromStr for Keep {
     }
 }
 
-/// In pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u32, pub u32);
 

@@ -35,9 +35,6 @@ const BITS: i32 = 11;
 
 /// Resizes `count` photos, which `photo` opens, by default to the network's bound. If sizes differ,
 /// crops all to the common center.
-///
-/// # Errors
-/// Those of `photo`, and [`Error::Argument`] if the bound is less than a patch.
 pub fn bounded_views<P: Borrow<Image>>(
     count: usize,
     photo: impl Fn(usize) -> Result<P> + Sync,

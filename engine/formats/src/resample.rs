@@ -8,14 +8,10 @@ use rayon::prelude::*;
 use super::Image;
 use crate::{Error, Result};
 
-/// Half width and value of a filter.
 type Filter = (f64, fn(f64) -> f64);
 
 /// Resizes as Pillow's `resize(.., LANCZOS)` on 8-bit RGB: two fixed-point passes, rounded to 8
 /// bits between.
-///
-/// # Errors
-/// [`Error::Argument`] if a side is zero.
 pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     resize(image, [width, height], (3.0, lanczos3))
 }

@@ -201,12 +201,10 @@ impl Scene {
         kept
     }
 
-    /// Returns each Gaussian's opacity times its two largest scales.
     pub(super) fn visibilities(&self) -> Vec<f32> {
         (0..self.len()).map(|i| self.opacities[i] * self.area(i)).collect()
     }
 
-    /// Returns the product of a Gaussian's two largest scales.
     pub(super) fn area(&self, i: usize) -> f32 {
         let [x, y, z] = self.scales[i];
         (x * y).max(y * z).max(x * z)

@@ -20,9 +20,6 @@ pub fn tile_count(width: u32, height: u32) -> usize {
 /// Returns square views of `side` x `side` pixels covering a photo, from left or top, with cameras
 /// in the world of `camera`, which may have another resolution. Squares overlap unless the ratio is
 /// whole, and repeat the edge beyond it.
-///
-/// # Errors
-/// Those of [`PixelMap::apply`] with `label`; [`Error::Argument`] if `side` is 0.
 pub fn tiles(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result<Vec<(Image, Camera)>> {
     photo.validate()?;
     camera.validate(label)?;

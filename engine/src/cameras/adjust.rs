@@ -7,7 +7,6 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 const STEPS: usize = 50;
 const TOLERANCE: f64 = 1e-12;
 const MOST_DAMPING: f64 = 1e12;
-/// Rotation, translation, log focal length.
 const UNKNOWNS: usize = 7;
 
 type Vector = [f64; UNKNOWNS];

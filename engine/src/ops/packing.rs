@@ -6,7 +6,6 @@ use rayon::prelude::*;
 const PANEL: usize = PANEL_COLUMNS as usize;
 const GROUP: usize = Q8_GROUP as usize;
 
-/// Conversion to a kernel's layout.
 #[derive(Clone, Copy)]
 pub(super) enum Packing {
     /// Unchanged values.
@@ -50,7 +49,6 @@ impl Order {
     }
 }
 
-/// Source row; gated matrices interleave gate and value.
 fn source_row(column: usize, columns: usize, gated: bool) -> usize {
     if gated { (column % 2) * (columns / 2) + column / 2 } else { column }
 }

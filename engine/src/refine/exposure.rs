@@ -22,7 +22,6 @@ pub const EXPOSURE_NUMBERS: usize = 12;
 /// Least steps before exposures are learned, until the scene resembles the photos; else a tenth of
 /// all.
 const MIN_WARM_UP: usize = 10;
-/// Pixels per invocation of the backward pass.
 const RUN: usize = 8;
 /// Factor of half the squared distance from the identity in a photo's loss.
 const PRIOR: f64 = 0.02;
@@ -102,7 +101,6 @@ fn pixels_of(shape: FrameShape) -> usize {
     shape.width as usize * shape.height as usize
 }
 
-/// Returns ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
 fn parts(
     rec: &Recorder,
     shape: FrameShape,
@@ -145,7 +143,6 @@ impl Gains {
         Ok(Self { factors, squares: [squares([1.0; 3]), squares(factors)] })
     }
 
-    /// Returns whether the factors explain a large part of the pictures' errors.
     fn differ(all: &[Self]) -> bool {
         let [without, with] = [0, 1].map(|i| all.iter().map(|gains| gains.squares[i]).sum::<f64>());
         with < (1.0 - EXPLAINED) * without

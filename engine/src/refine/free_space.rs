@@ -134,7 +134,6 @@ fn least_depths(scene: &Scene, camera: &Camera) -> Depths {
     least.map(|cells| cells.map(|(depth, count)| if count < ENOUGH { depth.min(other) } else { depth }))
 }
 
-/// Returns the row and column of a point's cell, and its depth, if the camera sees it.
 fn cell(camera: &Camera, point: &[f32; 3]) -> Option<([usize; 2], f64)> {
     let DVec3 { x, y, z } = camera.project(DVec3::from(point.map(f64::from)))?;
     let [row, column] = [(y, camera.intrinsics.height), (x, camera.intrinsics.width)]

@@ -21,16 +21,10 @@ pub trait Photos: Sync {
 
     /// Decodes a photo of this size, with its mask, if any. Several threads may open photos, also
     /// repeatedly.
-    ///
-    /// # Errors
-    /// An unreadable photo.
     fn open(&self, i: usize) -> Result<Cow<'_, Image>>;
 
     /// Known depth along the camera's axis by pixel of a photo, 0 if unknown; for
     /// [`RefineOptions::depth_loss`](super::RefineOptions::depth_loss).
-    ///
-    /// # Errors
-    /// An unreadable depth map.
     fn depth(&self, _i: usize) -> Result<Option<Cow<'_, [f32]>>> {
         Ok(None)
     }
@@ -63,9 +57,7 @@ pub(super) struct PhotoCache<'a> {
     photos: &'a dyn Photos,
     max_size: Option<[u32; 2]>,
     coarse: bool,
-    /// Kind of the photos' depth, if needed.
     depth: Option<DepthKind>,
-    /// Bytes left for further photos.
     left: u64,
     /// By photo and downscaling factor.
     kept: HashMap<(usize, u32), Photo>,

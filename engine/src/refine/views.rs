@@ -32,14 +32,12 @@ impl View {
     }
 }
 
-/// Returns the camera of a photo `from` a size, at another size.
 pub(super) fn resized(i: usize, camera: &Camera, from: [u32; 2], size: [u32; 2]) -> Result<Camera> {
     check_camera(i, camera)?;
     let intrinsics = PixelMap::resized(from, size).apply(&camera.intrinsics, &format!("camera {i}"))?;
     Ok(Camera { intrinsics, ..*camera })
 }
 
-/// Returns the size of a photo that fits `most`, with its sides divided by `factor`.
 pub(super) fn fitted(size: [u32; 2], most: Option<[u32; 2]>, factor: u32) -> [u32; 2] {
     let fits =
         |[width, height]: [u32; 2]| (f64::from(width) / f64::from(size[0])).min(f64::from(height) / f64::from(size[1]));

@@ -9,9 +9,7 @@ use crate::{
 
 /// Pixels per invocation.
 const RUN: usize = 8;
-/// Terms of a least squares line.
 const TERMS: usize = 5;
-/// RGB, alpha and expected depth.
 const CHANNELS: usize = 5;
 
 /// Unit of known depth.
@@ -102,7 +100,6 @@ impl DepthFrames {
     }
 }
 
-/// Consecutive cameras.
 #[derive(Clone, Copy)]
 struct Part {
     first: u32,

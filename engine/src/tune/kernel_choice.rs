@@ -17,9 +17,6 @@ pub struct KernelChoice {
 
 impl KernelChoice {
     /// Returns the arithmetic of a precision, by default the best.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if unsupported; device failures.
     pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
         Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
     }

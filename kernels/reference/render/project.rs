@@ -16,11 +16,9 @@ const TILE: f64 = 16.0;
 /// Gaussians in world units; their order breaks depth ties.
 #[derive(Clone, Debug, Default)]
 pub struct Gaussians {
-    /// Centers.
     pub means: Vec<[f64; 3]>,
     /// wxyz, nonzero, any length.
     pub quats: Vec<[f64; 4]>,
-    /// Standard deviations.
     pub scales: Vec<[f64; 3]>,
     /// 0..1.
     pub opacities: Vec<f64>,
@@ -53,7 +51,6 @@ impl Camera {
         }
     }
 
-    /// Returns the world-space center.
     pub fn center(&self) -> DVec3 {
         self.rotation.inverse() * -self.translation
     }
@@ -62,7 +59,6 @@ impl Camera {
 /// A projected Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Splat {
-    /// Center in pixels.
     pub mean: [f64; 2],
     /// Camera z.
     pub depth: f64,

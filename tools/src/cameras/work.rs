@@ -81,7 +81,6 @@ impl Work {
     }
 }
 
-/// Of a format that every COLMAP reads, by first bytes.
 fn kind(photo: &Path) -> Result<Option<&'static str>> {
     let mut start = [0; 4];
     let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);

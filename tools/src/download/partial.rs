@@ -90,7 +90,6 @@ fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     file.metadata().and_then(|_| path.try_exists())
 }
 
-/// Follows no links.
 fn open(path: &Path) -> Result<File> {
     let mut options = OpenOptions::new();
     options.create(true).truncate(false).read(true).write(true);
@@ -132,7 +131,6 @@ impl Partial {
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
 
-    /// Contiguous bytes.
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }

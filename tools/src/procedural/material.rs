@@ -1,5 +1,3 @@
-//! Random materials by surface role.
-
 use glam::{Vec3, Vec3A};
 
 use super::photos::Photos;
@@ -33,11 +31,9 @@ pub(super) enum Role {
     Anything,
 }
 
-/// `detail` is a typical feature size in meters.
 pub(super) struct Palette<'a> {
     pub photos: &'a Photos,
     pub detail: f32,
-    /// If photos exist.
     pub photo_share: f32,
 }
 

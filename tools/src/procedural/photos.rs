@@ -1,5 +1,3 @@
-//! Photo crops as textures.
-
 use std::{io::BufReader, path::Path};
 
 use glam::{Vec2, Vec3A};
@@ -44,10 +42,6 @@ struct Level {
 
 impl Photos {
     /// Reads the permissively licensed crops of a folder's `manifest.json`.
-    ///
-    /// # Errors
-    /// [`Error::Io`], [`Error::Format`]; the latter also without permissive crops, or for one that
-    /// is not square.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);
@@ -118,7 +112,6 @@ impl Level {
         Self { side, rgb: (0..side * side).map(pixel).collect() }
     }
 
-    /// sRGB in 0..1.
     fn sample(&self, uv: Vec2) -> Vec3A {
         let last = self.side - 1;
         let fold = |x: f32| 1.0 - (x.rem_euclid(2.0) - 1.0).abs();

@@ -28,7 +28,6 @@ pub enum Shape {
     Torus {
         /// Radius of the tube's center circle.
         major: f32,
-        /// Radius of the tube.
         minor: f32,
     },
     /// In the plane z = 0, two-sided.

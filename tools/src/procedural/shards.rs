@@ -51,15 +51,11 @@ pub struct Record {
     pub seed: u64,
     pub family: Family,
     pub path: PathKind,
-    /// `[V]` fx, fy, cx, cy.
     pub intrinsics: Vec<[f32; 4]>,
     /// `[V]` rows of camera-to-world.
     pub poses: Vec<[f32; 12]>,
-    /// `[V][V]`.
     pub overlap: Vec<f32>,
-    /// `[V][H][W][3]`.
     pub colors: Vec<u8>,
-    /// `[V][H][W]`.
     pub depths: Vec<f16>,
 }
 
@@ -69,8 +65,6 @@ impl Header {
         16 + v * (16 + 48 + 4 * v) + v * h * w * 5
     }
 
-    /// # Errors
-    /// `InvalidData` for another magic or format; those of the reader.
     pub fn read(mut from: impl Read) -> Result<Self> {
         let magic: [u8; 8] = take(&mut from)?;
         let format = u32::from_le_bytes(take(&mut from)?);
@@ -94,8 +88,6 @@ impl Header {
 }
 
 impl Record {
-    /// # Errors
-    /// `UnexpectedEof` at the end of the stream, `InvalidData` for an index out of range.
     pub fn read(header: &Header, mut from: impl Read) -> Result<Self> {
         let mut bytes = vec![0; header.scene_bytes()];
         from.read_exact(&mut bytes)?;
@@ -128,10 +120,6 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
 
 /// Writes the scenes of `seeds` in order, generated on all threads. A range to `u64::MAX` is marked
 /// endless. `written` gets the number of scenes after each batch and may stop the stream.
-///
-/// # Errors
-/// [`zipsplat::Error::Argument`] as the source for unusable options; those of the writer,
-/// `BrokenPipe` for a closed pipe; `Interrupted` if `written` stopped it.
 pub fn write(
     mut to: impl Write,
     seeds: Range<u64>,

@@ -64,7 +64,6 @@ pub(super) struct Hit {
 }
 
 impl Hit {
-    /// Number of the primitive.
     pub fn surface(&self) -> u32 {
         self.region >> 4
     }

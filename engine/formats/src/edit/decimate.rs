@@ -18,7 +18,6 @@ use crate::{Scene, quaternion_from_matrix};
 const NEIGHBORS: usize = 16;
 /// Fraction of the Gaussians merged in a round.
 const ROUND: f64 = 0.2;
-/// Weight of a squared distance of coefficients of degree 0.
 const COLOR: f64 = 0.4;
 /// Least standard deviation relative to the largest of a Gaussian.
 const FLATTEST: f64 = 1e-3;
@@ -32,7 +31,6 @@ pub(super) fn decimate(edited: &mut Edited, count: usize) -> String {
     format!("{} merged into neighbors", before - edited.scene.len())
 }
 
-/// A Gaussian with its visibility.
 #[derive(Clone, Copy)]
 struct Blob {
     mean: DVec3,
@@ -64,7 +62,6 @@ fn cost(a: &Blob, b: &Blob) -> f64 {
     a.weight.min(b.weight) * (overlap + shape + COLOR * a.color.distance_squared(b.color))
 }
 
-/// Merges up to `most` disjoint pairs, at least one.
 fn merge(edited: &mut Edited, most: usize) {
     let scene = &mut edited.scene;
     let weights = scene.visibilities();
@@ -95,7 +92,6 @@ fn merge(edited: &mut Edited, most: usize) {
     edited.keep(&kept);
 }
 
-/// Replaces the first of two Gaussians by their union.
 fn replace(scene: &mut Scene, [i, j]: [usize; 2], [a, b]: [&Blob; 2]) {
     let part = a.weight / (a.weight + b.weight);
     let mix = |a: f64, b: f64| b + part * (a - b);

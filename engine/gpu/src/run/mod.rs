@@ -198,9 +198,6 @@ impl Run {
     }
 
     /// Runs the plan.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`], a driver error, or validation messages.
     pub fn execute(&mut self) -> Result<StageTimes> {
         self.execute_with(|_| ControlFlow::Continue(()))
     }

@@ -75,9 +75,6 @@ fn kernel_name(command: &Command) -> &'static str {
 
 impl Run {
     /// Runs the plan with a timestamp around every command, which prevents overlap.
-    ///
-    /// # Errors
-    /// As [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) without timestamps.
     pub fn profile(&mut self) -> Result<Profile> {
         self.device.limits().check_timestamps()?;
         self.begin()?;

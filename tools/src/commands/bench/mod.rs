@@ -103,7 +103,6 @@ impl Spread {
         Self { median, min: middle(0), max: middle(ms.len().saturating_sub(1)) }
     }
 
-    /// Returns billions of operations or bytes per second, at the median.
     fn rate(&self, count: u64) -> f64 {
         count as f64 / (1e6 * self.median.max(1e-6))
     }
@@ -134,7 +133,6 @@ impl Group {
     }
 }
 
-/// Groups by `name`, in order of first use.
 fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
     let mut order: Vec<String> = Vec::new();
     let mut known: HashMap<String, ([u64; 3], Vec<Duration>)> = HashMap::new();

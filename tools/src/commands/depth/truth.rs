@@ -76,7 +76,6 @@ impl Errors {
     }
 }
 
-/// Returns median angle, distance over the extent, and relative focal length error.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
     let centers = pairs.iter().map(|(_, truth)| truth.pose.translation);

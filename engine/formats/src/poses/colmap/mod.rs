@@ -141,7 +141,6 @@ fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Re
     Ok(Lens { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distortion, view: 0 })
 }
 
-/// Converts a world-to-camera quaternion wxyz and translation.
 fn pose([w, x, y, z, tx, ty, tz]: [f64; 7]) -> Pose {
     Pose { rotation: matrix_from_quaternion([w, x, y, z]), translation: DVec3::new(tx, ty, tz) }.inverse()
 }

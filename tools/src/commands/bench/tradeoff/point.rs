@@ -10,7 +10,6 @@ pub struct Point {
     pub weights: String,
     pub weight_bytes: u64,
     pub ratio: f64,
-    /// As on the command line, including `auto`.
     #[serde(skip)]
     pub asked_ratio: String,
     /// `all` without any.
@@ -132,7 +131,6 @@ pub fn name(selection: &TokenSelection) -> String {
     }
 }
 
-/// Returns the Pareto front, by time.
 pub fn front(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|a, b| {

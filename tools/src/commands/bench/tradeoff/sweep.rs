@@ -62,7 +62,6 @@ struct Bench<'a> {
 struct Forward {
     made: Reconstruction,
     scene: Scene,
-    /// Median.
     ms: f64,
     views_per_cluster: Option<f64>,
     compared: Option<Compared>,
