@@ -1,5 +1,3 @@
-//! The catalog of kernel cases on the tests' device.
-
 use crate::device::device;
 use zipsplat_verify::{catalog, shapes};
 

@@ -45,7 +45,6 @@ pub fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
     planes.chunks(3 * pixels).flat_map(picture).collect()
 }
 
-/// Lists the `.safetensors` files that start with `prefix`, sorted.
 pub fn list(prefix: &str) -> Vec<String> {
     let entries = folders().into_iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten();
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -59,7 +58,6 @@ pub fn json(file: &str) -> Option<serde_json::Value> {
     Some(serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
 }
 
-/// Accessors panic for absent keys or other types.
 pub struct Golden {
     file: String,
     bytes: Vec<u8>,
@@ -92,7 +90,6 @@ impl Golden {
         self.header.tensors().into_keys().collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// Returns the sorted keys that end with `suffix`, without it.
     pub fn stems(&self, suffix: &str) -> Vec<String> {
         self.keys().iter().filter_map(|key| key.strip_suffix(suffix)).map(str::to_owned).collect()
     }

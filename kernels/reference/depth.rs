@@ -14,13 +14,9 @@ use super::widen;
 /// Sizes that parameter shapes do not determine.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
-    /// Patch side.
     pub patch: usize,
-    /// Token width.
     pub width: usize,
-    /// Number of blocks.
     pub depth: usize,
-    /// Attention heads.
     pub heads: usize,
     /// First block that may be global; `depth` for single-view networks.
     pub alt_start: usize,

@@ -2,6 +2,7 @@
 //!
 //! Modules mirror the kernels, without tiling, fusion or streaming, to share no mistake.
 //! Activations are row-major `[f64]`, weights f32.
+#![allow(missing_docs, reason = "read with the code: names and shapes document most items")]
 
 pub mod backbone;
 pub mod cluster;

@@ -1,5 +1,3 @@
-//! Architectures and weights.
-
 use std::collections::BTreeMap;
 
 use serde_json::Value;
@@ -11,13 +9,9 @@ use super::ops::linear::linear;
 /// Settings that parameter shapes do not determine.
 #[derive(Clone, Debug)]
 pub struct Architecture {
-    /// Patch side.
     pub patch: usize,
-    /// Token width.
     pub width: usize,
-    /// Blocks.
     pub depth: usize,
-    /// Attention heads.
     pub heads: usize,
     /// First block that may be global; camera tokens enter here.
     pub alt_start: usize,
@@ -25,19 +19,13 @@ pub struct Architecture {
     pub rope_start: usize,
     /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
-    /// Camera encoder blocks.
     pub camera_blocks: usize,
-    /// Camera encoder heads.
     pub camera_heads: usize,
-    /// Fusion heads.
     pub fusion_heads: usize,
-    /// Color width.
     pub color_width: usize,
-    /// Color heads.
     pub color_heads: usize,
     /// Gaussians per token, G.
     pub gaussians: usize,
-    /// SH degree.
     pub sh_degree: usize,
 }
 
@@ -78,9 +66,7 @@ impl Architecture {
     }
 }
 
-/// An architecture with its weights.
 pub struct Model {
-    /// Architecture.
     pub architecture: Architecture,
     /// Parameters.
     pub weights: Weights,
@@ -125,23 +111,19 @@ impl<'a> Scope<'a> {
         Scope::of(self.weights, &format!("{}.{name}", self.prefix))
     }
 
-    /// Returns whether a parameter exists.
     pub fn has(&self, name: &str) -> bool {
         self.weights.contains_key(&format!("{}.{name}", self.prefix))
     }
 
-    /// Returns a parameter's values.
     pub fn get(&self, name: &str) -> &'a [f32] {
         let name = format!("{}.{name}", self.prefix);
         &self.weights.get(&name).unwrap_or_else(|| panic!("no parameter {name}")).1
     }
 
-    /// Applies linear layer `name`.
     pub fn linear(&self, name: &str, x: &[f64]) -> Vec<f64> {
         linear(x, self.get(&format!("{name}.weight")), self.get(&format!("{name}.bias")))
     }
 
-    /// Applies LayerNorm `name`.
     pub fn layer_norm(&self, name: &str, x: &[f64], eps: f64) -> Vec<f64> {
         layer_norm(x, self.get(&format!("{name}.weight")), self.get(&format!("{name}.bias")), eps)
     }

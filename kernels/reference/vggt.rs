@@ -16,11 +16,8 @@ use super::widen;
 /// Sizes that parameter shapes do not determine.
 #[derive(Clone, Debug)]
 pub struct Sizes {
-    /// Patch side.
     pub patch: usize,
-    /// Token width.
     pub width: usize,
-    /// Attention heads.
     pub heads: usize,
     /// Blocks of the patch embedding.
     pub embedding: usize,
@@ -87,7 +84,6 @@ fn embed(weights: &Scope, sizes: &Sizes, images: &Images, taps: &mut Taps) -> Ve
     out
 }
 
-/// Drops special tokens.
 fn patches_of(x: &[f64], views: usize, width: usize) -> Vec<f64> {
     x.chunks(x.len() / views).flat_map(|view| &view[LEADING * width..]).copied().collect()
 }

@@ -10,7 +10,6 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 pub const U: f64 = f32::EPSILON as f64 / 2.0;
 /// Unit in the last place.
 pub const ULP: f64 = f32::EPSILON as f64;
-/// Flushed subnormals.
 pub const TINY: f64 = f32::MIN_POSITIVE as f64;
 /// Vulkan's relative limit for divisions.
 pub const DIVISION: f64 = 2.5 * ULP;
@@ -51,7 +50,6 @@ pub fn logarithm(x: f64) -> f64 {
 pub struct Worst {
     /// Distance from the truth, or number of differing elements; infinite for NaN.
     pub error: f64,
-    /// Error bound.
     pub bound: f64,
     /// Error over bound; above 1 is wrong.
     pub share: f64,
@@ -64,10 +62,8 @@ pub struct Worst {
 }
 
 impl Worst {
-    /// Empty comparison.
     pub const NONE: Self = Self::new(0.0, 0.0, 0.0);
 
-    /// Failed comparison.
     pub const UNKNOWN: Self = Self::new(f64::INFINITY, f64::INFINITY, f64::INFINITY);
 
     const fn new(error: f64, bound: f64, share: f64) -> Self {
@@ -85,7 +81,6 @@ impl Worst {
         Self::new(error, bound, share)
     }
 
-    /// Returns the worst element.
     pub fn of(got: &[f32], truth: &[f64], bound: impl Fn(usize) -> f64) -> Self {
         assert_eq!(got.len(), truth.len(), "as many results as truths");
         let one = |i: usize| Self::one(got[i].into(), truth[i], bound(i));
@@ -99,7 +94,6 @@ impl Worst {
         Self::one(got.iter().zip(truth).filter(|(a, b)| a != b).count() as f64, 0.0, 0.0)
     }
 
-    /// Returns the worse of two.
     pub fn or(self, other: Self) -> Self {
         let [mine, theirs] = [self, other].map(|w| (w.share, w.bound));
         let worse = if theirs > mine { other } else { self };

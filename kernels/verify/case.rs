@@ -1,5 +1,3 @@
-//! Device computation with truth and simulated faults.
-
 use crate::{Mode, Tolerance, Worst, bound::half};
 use std::fmt::Debug;
 use zipsplat::{Result, gpu::Device};
@@ -115,7 +113,6 @@ impl<F: Copy> Catches<F> {
     }
 }
 
-/// Injected fault with its check.
 #[derive(Clone, Debug)]
 pub struct Injected {
     /// Name, such as `last term`.
@@ -133,11 +130,8 @@ impl Injected {
 
 /// One hard input.
 pub struct Case {
-    /// Name.
     pub name: String,
-    /// Problem size.
     pub size: usize,
-    /// Caught faults besides zeros.
     pub catches: Vec<String>,
     checks: Box<dyn Checks>,
 }

@@ -1,15 +1,11 @@
-//! Reproducible random inputs.
-
 use zipsplat::{
     random::Random,
     types::{Camera, Image, Intrinsics, Pose, Scene},
 };
 
-/// Random inputs of a seed.
 pub struct Noise(Random);
 
 impl Noise {
-    /// Creates the inputs of a seed.
     pub fn new(seed: u64) -> Self {
         Self(Random::new(seed))
     }
@@ -24,7 +20,6 @@ impl Noise {
         (0..len).map(|_| self.uniform(-1.0, 1.0)).collect()
     }
 
-    /// Returns an image of random bytes.
     pub fn image(&mut self, width: u32, height: u32) -> Image {
         let rgb = (0..3 * width as usize * height as usize).map(|_| (self.0.bits() >> 56) as u8).collect();
         Image { width, height, rgb, mask: None }

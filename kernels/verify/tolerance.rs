@@ -41,10 +41,8 @@ const F32: &[(&str, Tolerance)] = &[
 ];
 
 impl Tolerance {
-    /// No limit.
     pub const ANY: Tolerance = Tolerance { max: f64::INFINITY, rms: f64::INFINITY };
 
-    /// Limits the rms alone.
     pub const fn rms(rms: f64) -> Tolerance {
         Tolerance { max: f64::INFINITY, rms }
     }
@@ -77,9 +75,6 @@ impl Tolerance {
     }
 
     /// Returns the f32 tolerance of a key such as `bb/block3` or `r0.5/ca1_delta`.
-    ///
-    /// # Panics
-    /// If the table lacks it.
     pub fn of_tap(key: &str) -> Tolerance {
         let tap = match key.split_once('/') {
             Some((prefix, tap)) if prefix.starts_with('r') && prefix.ends_with(|c: char| c.is_ascii_digit()) => tap,
@@ -89,9 +84,6 @@ impl Tolerance {
     }
 
     /// Returns the f32 tolerance of an activated field.
-    ///
-    /// # Panics
-    /// If the table lacks it.
     pub fn of_field(field: &str) -> Tolerance {
         let entry = F32.iter().find(|(name, _)| *name == field);
         entry.unwrap_or_else(|| panic!("no tolerance for {field:?}")).1

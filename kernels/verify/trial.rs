@@ -12,10 +12,8 @@ pub const UNWRITTEN: u32 = 0xffff_ffff;
 /// Guard bytes behind an output.
 const GUARD: usize = 256;
 
-/// A plan with its inputs.
 pub struct Trial<'a> {
     device: &'a Device,
-    /// Recorder of the plan.
     pub rec: Recorder,
     inputs: Vec<(Tensor, Vec<u8>)>,
     /// Outputs with guards, and their bytes without.
@@ -23,7 +21,6 @@ pub struct Trial<'a> {
 }
 
 impl<'a> Trial<'a> {
-    /// Creates an empty plan.
     pub fn new(device: &'a Device) -> Self {
         Self::within(device, device.limits())
     }
@@ -39,14 +36,12 @@ impl<'a> Trial<'a> {
         Self::within(device, &limits)
     }
 
-    /// Uploads values.
     pub fn input<T: Pod>(&mut self, values: &[T]) -> Tensor {
         let tensor = self.rec.input::<T>("input", values.len());
         self.inputs.push((tensor, bytemuck::cast_slice(values).to_vec()));
         tensor
     }
 
-    /// Uploads values in a type.
     pub fn input_of(&mut self, element: Element, values: &[f32]) -> Tensor {
         self.input(&element.encode(values))
     }
@@ -65,7 +60,6 @@ impl<'a> Trial<'a> {
         whole.slice::<T>(0, len)
     }
 
-    /// Allocates an output in a type.
     pub fn output_of(&mut self, element: Element, len: usize) -> Tensor {
         self.output::<u8>(element.bytes() * len)
     }
@@ -88,7 +82,6 @@ impl<'a> Trial<'a> {
         Ok(run)
     }
 
-    /// Runs the plan and reads tensors.
     pub fn results<T: Pod, const N: usize>(mut self, outputs: [Tensor; N]) -> Result<[Vec<T>; N]> {
         outputs.iter().for_each(|output| self.rec.output(*output));
         let run = self.run()?;
@@ -96,13 +89,11 @@ impl<'a> Trial<'a> {
         Ok([(); N].map(|()| values.next().unwrap_or_default()))
     }
 
-    /// Runs the plan and reads a tensor.
     pub fn result<T: Pod>(self, output: Tensor) -> Result<Vec<T>> {
         let [values] = self.results([output])?;
         Ok(values)
     }
 
-    /// Reads values of a type.
     pub fn result_of(self, element: Element, output: Tensor) -> Result<Vec<f32>> {
         Ok(element.decode(&self.result::<u8>(output)?))
     }

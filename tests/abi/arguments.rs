@@ -168,7 +168,6 @@ fn progress_is_told_and_can_stop() {
     reconstruct(&model, &images, &reconstruct_options());
 }
 
-/// Records a callback's messages and thread, and stops the call.
 struct CallLog {
     stages: Vec<(f64, String)>,
     most: usize,
@@ -272,8 +271,8 @@ fn what_cannot_be_drawn_is_refused() {
         refused(&zs_camera { fx: focal, ..good }, &picture, 1, &options, "fx");
     }
     refused(&zs_camera { rotation: [0.0; 9], ..good }, &picture, 1, &options, "rotation");
-    refused(&zs_camera { reserved: 1, ..good }, &picture, 1, &options, "zs_camera, reserved");
-    refused(&good, &zs_render_buffers { reserved: 1, ..picture }, 1, &options, "picture 0, reserved");
+    refused(&zs_camera { reserved: 1, ..good }, &picture, 1, &options, "cameras 0, reserved");
+    refused(&good, &zs_render_buffers { reserved: 1, ..picture }, 1, &options, "pictures 0, reserved");
     refused(&good, &zs_render_buffers { stride: 63, ..picture }, 1, &options, "stride");
     refused(&good, &zs_render_buffers { stride: i64::MIN, ..picture }, 1, &options, "stride");
     refused(&good, &zs_render_buffers { pixels: null_mut(), ..picture }, 1, &options, "no output");

@@ -7,7 +7,6 @@ use zipsplat_c::*;
 
 /// Allocators and driver threads occasionally grow; a leak grows in every stretch.
 const STRETCHES: usize = 4;
-/// Warm-up cycles: allocators grow most at the start.
 const WARM_UP: usize = 24;
 /// In MB, of the stretch that grows least.
 const LEAST_GROWTH: f64 = 0.5;

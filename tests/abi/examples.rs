@@ -1,5 +1,3 @@
-//! Examples on the tests' device.
-
 use crate::{
     calls::{micro, photos, rust_scene},
     header::root,
@@ -166,7 +164,6 @@ fn depth_in_c() {
     assert_names_the_error(run(&folder.path().join("none")));
 }
 
-/// With synchronization validation if the tests have it.
 #[test]
 fn app_with_its_own_device() {
     let vulkan = installation().pkg_config(&["--cflags", "--libs", "vulkan"]);

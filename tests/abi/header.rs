@@ -1,8 +1,9 @@
-//! The committed header is cbindgen's, grouped by source file.
+//! `zipsplat.h` is written by hand: it declares the interface of the sources and documents it.
 
-use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
+use cbindgen::{Builder, Config, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
 
+/// In the header's order. Each uses only types of earlier ones.
 const SOURCES: [&str; 18] = [
     "version",
     "status",
@@ -28,174 +29,101 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")
 }
 
-/// Enumerations that structures store as integers, each with an alias of its name and `_value`.
-pub fn enumerations() -> Vec<String> {
-    let aliased = |line: &str| {
-        let name = line.strip_prefix("pub(super) type ")?.strip_suffix("_value = i32;")?;
-        Some(name.to_owned())
-    };
-    SOURCES.map(text).iter().flat_map(|source| source.lines().filter_map(aliased)).collect()
+/// Lines of the header between its macros and its end.
+pub fn header() -> String {
+    let text = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
+    let (_, rest) = text.split_once("extern \"C\" {\n#endif\n").expect("the begin of its declarations");
+    let (declarations, _) = rest.split_once("#undef ZS_ENUM").expect("the end of its declarations");
+    declarations.to_owned()
 }
 
-fn generate() -> String {
-    let preamble = std::fs::read_to_string(sources().join("preamble.h")).expect("a preamble");
-    let enumerations = enumerations();
-    let number = |name: &String| format!("{name}_value");
+/// C declarations of a source.
+fn exported(source: &str) -> Vec<String> {
+    let path = root().join(format!("engine/bindings/c/src/{source}.rs"));
+    let text = std::fs::read_to_string(&path).expect("a source");
+    let types = ["\npub enum ", "\npub struct ", "\npub type "].into_iter().flat_map(|kind| text.split(kind).skip(1));
+    let name = |rest: &str| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().map(str::to_owned);
     let config = Config {
         language: Language::C,
-        header: Some(preamble.trim_end().to_owned()),
-        include_guard: Some("ZIPSPLAT_H".into()),
         no_includes: true,
-        sys_includes: vec!["stddef.h".into(), "stdint.h".into()],
-        cpp_compat: true,
+        documentation: false,
         style: Style::Both,
-        documentation_style: DocumentationStyle::C99,
         usize_is_size_t: true,
         line_length: 120,
         tab_width: 4,
         enumeration: EnumConfig { rename_variants: RenameRule::None, ..EnumConfig::default() },
-        export: ExportConfig {
-            exclude: enumerations.iter().map(number).collect(),
-            rename: enumerations.iter().map(|name| (number(name), name.clone())).collect(),
-            include: enumerations,
-            ..ExportConfig::default()
-        },
+        export: ExportConfig { include: types.filter_map(name).collect(), ..ExportConfig::default() },
         ..Config::default()
     };
-    let builder = SOURCES.iter().fold(Builder::new().with_config(config), |builder, name| {
-        builder.with_src(sources().join(format!("{name}.rs")))
-    });
-    let mut header = Vec::new();
-    builder.generate().expect("the sources can be read").write(&mut header);
-    by_source(&String::from_utf8(header).expect("text"), &SOURCES.map(text))
+    let mut generated = Vec::new();
+    let bindings = Builder::new().with_config(config).with_src(path).generate().expect("a source that parses");
+    bindings.write(&mut generated);
+    let generated = String::from_utf8(generated).expect("text");
+    // Fields hold enumerations as integers, whose type has the enumeration's name and `_value`.
+    let generated = generated.replace("_value ", " ").replace("_value;", ";");
+    declarations(&generated)
+        .into_iter()
+        .filter(|declaration| !is_of_enumeration(declaration))
+        .map(enumeration)
+        .collect()
 }
 
-fn sources() -> PathBuf {
-    root().join("engine/bindings/c/src")
+fn is_of_enumeration(declaration: &str) -> bool {
+    declaration.starts_with("typedef int32_t") || declaration.starts_with("typedef enum")
 }
 
-fn text(name: &str) -> String {
-    std::fs::read_to_string(sources().join(format!("{name}.rs"))).expect("a source")
-}
-
-/// cbindgen would write ten preprocessor lines per enumeration.
-const BEFORE: &str = r#"
-// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-#define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
-#else
-#define ZS_ENUM(name) typedef int32_t name; enum name
-#endif
-
-// A structure with its size set and every field at its default, as in
-// `zs_camera camera = ZS_INIT(zs_camera);`.
-#ifdef __cplusplus
-#define ZS_INIT(type) ([] { type value_{}; value_.struct_size = sizeof(type); return value_; }())
-#else
-#define ZS_INIT(type) ((type){.struct_size = sizeof(type)})
-#endif
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-"#;
-
-const AFTER: &str = r"
-#undef ZS_ENUM
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif // ZIPSPLAT_H
-";
-
-/// Groups declarations by source file. Each source uses only types of earlier ones.
-fn by_source(header: &str, sources: &[String]) -> String {
-    let (top, declarations) = header.split_once("#include <stdint.h>\n").expect("its includes");
-    let mut sections = vec![String::new(); sources.len()];
-    for item in declarations.trim().split("\n\n").filter(|item| !is_frame(item)) {
-        let name = declared(item);
-        let source = sources.iter().position(|source| declares(source, name));
-        let section = &mut sections[source.unwrap_or_else(|| panic!("no source declares {name}:\n{item}"))];
-        *section += &format!("\n{}\n", plain_enumeration(item));
+/// Writes an enumeration by the header's macro.
+fn enumeration(declaration: String) -> String {
+    match declaration.strip_prefix("enum ").and_then(|rest| rest.split_once("\n  : int32_t\n {")) {
+        Some((name, body)) => format!("ZS_ENUM({name}) {{{body}"),
+        None => declaration,
     }
-    let mut out = format!("{top}#include <stdint.h>\n{BEFORE}");
-    for (source, section) in sources.iter().zip(sections) {
-        let first = source.lines().next().expect("a line");
-        let title = first.strip_prefix("//! ").expect("a title");
-        let line = "*".repeat(title.len() + 4);
-        out += &format!("\n/*{line}*/\n/*  {title}  */\n/*{line}*/\n{section}");
+}
+
+/// Splits C into declarations, without comments and conditions.
+fn declarations(text: &str) -> Vec<String> {
+    let is_code = |line: &&str| !is_comment(line) && (!line.starts_with('#') || line.starts_with("#define"));
+    let mut found = vec![String::new()];
+    for line in text.lines().filter(|line| !line.is_empty()).filter(is_code) {
+        let declaration = found.last_mut().expect("one");
+        *declaration += &format!("{line}\n");
+        let is_open = declaration.contains('{') && !line.starts_with('}');
+        if line.starts_with("#define") || line.ends_with(';') && !is_open {
+            found.push(String::new());
+        }
     }
-    out + AFTER
+    found.retain(|declaration| !declaration.is_empty());
+    found
 }
 
-fn is_frame(item: &str) -> bool {
-    item.starts_with("#ifdef __cplusplus") || item.starts_with("#endif")
-}
-
-fn declared(item: &str) -> &str {
-    let code = item.lines().find(|line| !line.starts_with("//")).expect("a declaration");
-    let word = |text: &str| text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
-    let behind = |mark: &str| code.split_once(mark).map(|(_, rest)| &rest[..word(rest)]);
-    let keyword = ["#define ", "typedef struct ", "(*"].into_iter().find_map(behind);
-    let function = || code.split_once('(').and_then(|(before, _)| before.rsplit([' ', '*']).next());
-    let enumeration = code.strip_prefix("enum ").map(|rest| &rest[..word(rest)]);
-    enumeration.or(keyword).or_else(function).unwrap_or_else(|| panic!("what is declared here?\n{item}"))
-}
-
-fn declares(source: &str, name: &str) -> bool {
-    let ends = |rest: &str| !rest.starts_with(|c: char| c.is_alphanumeric() || c == '_');
-    ["const", "enum", "struct", "type", "fn"]
-        .iter()
-        .any(|kind| source.split(&format!(" {kind} {name}")).skip(1).any(ends))
-}
-
-fn plain_enumeration(item: &str) -> String {
-    let is_comment = |text: &str| text.lines().all(|line| line.starts_with("//"));
-    let Some((comment, code)) = item.split_once("enum zs_").filter(|(before, _)| is_comment(before)) else {
-        return item.to_owned();
-    };
-    let (name, rest) = code.split_once('\n').expect("its body");
-    let (_, body) = rest.split_once("\n {\n").expect("its body behind the type");
-    let (body, _) = body.split_once("\n};\n#ifndef __cplusplus").expect("the end of its body");
-    format!("{comment}ZS_ENUM(zs_{name}) {{\n{body}\n}};")
+fn is_comment(line: &str) -> bool {
+    line.trim_start().starts_with("//") || line.starts_with("/*")
 }
 
 #[test]
-fn types_and_functions_of_an_object_stand_together() {
-    let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
-    let place = |text: &str| header.find(text).unwrap_or_else(|| panic!("{text} is not in the header"));
-    let order = [
-        "typedef struct zs_device zs_device;",
-        "zs_status zs_device_create(",
-        "typedef struct zs_scene zs_scene;",
-        "typedef struct zs_gaussians {",
-        "zs_status zs_scene_open(",
-        "typedef struct zs_model zs_model;",
-        "zs_status zs_model_load(",
-        "typedef struct zs_refine_options {",
-        "zs_status zs_refine_scene(",
-        "typedef struct zs_vulkan_target {",
-        "zs_status zs_render_to_vulkan(",
-    ];
-    assert!(order.map(place).is_sorted());
-    let conditions = header.lines().filter(|line| line.starts_with("#if")).count();
-    assert_eq!(conditions, 5, "the guard, ZS_ENUM, ZS_INIT, and extern \"C\" from and to");
+fn declares_what_the_sources_export() {
+    let expected: Vec<String> = SOURCES.iter().flat_map(|source| exported(source)).collect();
+    let found = declarations(&header());
+    let tokens = |text: &String| text.replace("struct ", "").split_whitespace().collect::<Vec<_>>().join(" ");
+    let differs = |i: &usize| expected.get(*i).map(tokens) != found.get(*i).map(tokens);
+    if let Some(i) = (0..expected.len().max(found.len())).find(differs) {
+        let [found, expected] = [found.get(i), expected.get(i)].map(|text| text.map_or("its end\n", String::as_str));
+        panic!("zipsplat.h does not follow from engine/bindings/c/src. Found:\n\n{found}\nExpected:\n\n{expected}");
+    }
 }
 
-/// `ZIPSPLAT_WRITE_HEADER=1` writes the header instead.
+/// The header's introduction documents `struct_size` and `reserved`.
 #[test]
-fn is_what_the_sources_give() {
-    let path = root().join("engine/bindings/c/include/zipsplat.h");
-    let generated = generate();
-    if std::env::var("ZIPSPLAT_WRITE_HEADER").is_ok_and(|value| value == "1") {
-        std::fs::write(&path, &generated).expect("the header can be written");
+fn every_declaration_has_a_comment() {
+    let header = header();
+    let mut is_continued = false;
+    let mut before = "";
+    for line in header.lines() {
+        let is_code = !line.is_empty() && !is_comment(line) && !line.starts_with('}');
+        let is_common = line.ends_with(" struct_size;") || line.ends_with(" reserved;");
+        let is_documented = is_comment(before) || is_continued || is_common;
+        assert!(!is_code || is_documented, "zipsplat.h has no comment above:\n\n{line}\n");
+        is_continued = is_code && line.ends_with(',') && !line.contains(" = ");
+        before = line;
     }
-    let committed = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        committed == generated,
-        "engine/bindings/c/include/zipsplat.h is not what engine/bindings/c/src gives; write it with\n  \
-         ZIPSPLAT_WRITE_HEADER=1 tools/test.sh -p zipsplat-tests --test abi header"
-    );
 }

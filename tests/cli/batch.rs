@@ -65,7 +65,6 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
     assert_eq!((&record["network"], &record["photos"]), (&"da3-micro".into(), &2.into()));
     assert_eq!(numbers(folder.run(&line)), [0, 2, 0, 0]);
 
-    // Points set the scale of a single-view network.
     folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
     for weights in ["da3", "alone"] {
         let line = format!("@/place --weights @/{weights}.safetensors --input-size 42x42");

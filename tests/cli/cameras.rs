@@ -307,7 +307,6 @@ fn other_commands_find_cameras_too() {
         .fails(3, &["--cameras colmap", "--init points"]);
 }
 
-/// Prints the skipped test.
 pub fn installed(program: &str, test: &str) -> bool {
     let runs = std::process::Command::new(program).arg("help").output().is_ok();
     if !runs {

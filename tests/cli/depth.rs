@@ -87,7 +87,6 @@ fn cameras_are_those_of_the_network() {
     let mean = |[fx, fy]: [f64; 2]| (fx * fy).sqrt();
     assert!(own.iter().any(|focal| (mean(*focal) / shared[0][0] - 1.0).abs() < 1e-9), "{own:?} {shared:?}");
 
-    // Photo names are relative to their folder.
     for (model, points_of) in [("model", "points.ply"), ("depth/model", "depth/points.ply")] {
         let read = folder.capture(model);
         let names: Vec<&str> = read.frames.iter().map(|frame| frame.name.as_str()).collect();
@@ -144,7 +143,6 @@ fn photos_become_a_gaussian_a_pixel() {
     assert!(outcome.err.contains("cameras found: 2 of 2 photos"), "{}", outcome.err);
     let json = outcome.json();
     let [views, tokens, all, gaussians] = made(&json);
-    // 70 x 56 pixels in patches of 14.
     assert_eq!((views, tokens, all, &json["network"]), (2, 40, 40, &"da3-micro".into()));
     assert!((1000..=7840).contains(&gaussians), "{json}");
     let scene = read_ply(folder.path("scene.ply")).unwrap();
@@ -257,7 +255,6 @@ fn scenes_of_pixels_are_judged() {
     let [tokens, all] = ["tokens", "all_tokens"].map(|key| json[key].as_u64());
     assert_eq!((tokens, all, json["views"].as_array().map(Vec::len)), (Some(18), Some(18), Some(2)), "{json}");
     assert!(json["mean"]["psnr"].as_f64().is_some_and(f64::is_finite), "{json}");
-    // In the cameras' scale.
     let inputs = json["inputs"].as_array().unwrap().iter().map(|name| format!("@/place/{}", name.as_str().unwrap()));
     let inputs: Vec<String> = inputs.collect();
     let line =

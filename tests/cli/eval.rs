@@ -89,7 +89,6 @@ fn the_unit_of_the_cameras_does_not_matter() {
     let line = "eval @/place --views 3 --weights @/micro.safetensors --input-size 28x28 --json";
     let mean = |line: &str| folder.run(line).json()["mean"]["psnr"].as_f64().expect("a number");
     let before = mean(line);
-    // At an eighth of the scale.
     folder.edit_frames("place/transforms.json", |frame| {
         for row in 0..3 {
             let moved = 8.0 * frame["transform_matrix"][row][3].as_f64().expect("a number");
@@ -182,7 +181,6 @@ fn a_camera_stays_near_its_first_estimate() {
     let folder = Folder::new();
     let mut renderer = splats(&folder);
     let start = Camera { intrinsics: Intrinsics::from_fov(84, 56, 1.0, 0.7), pose: Pose::IDENTITY };
-    // A photo unlike the scene.
     let stripes =
         (0..84 * 56).flat_map(|i| [if i % 84 / 7 % 2 == 0 { 250 } else { 20 }, 120, (i / 84) as u8]).collect();
     let photo = Image::new(84, 56, stripes).expect("a picture");

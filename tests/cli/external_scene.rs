@@ -160,7 +160,6 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
         (json["gaussians"].as_u64().expect("a number"), psnr(&json))
     });
     assert!(small.0 <= 4 * 28 * 28 && whole.0 > 5 * small.0 && small.1 > whole.1 - 4.0, "{whole:?} {small:?}");
-    // The scene's unit by the same depth, and by a network's.
     let found = folder.run(&format!("{line} --input-size 84x56 --scene-scale @/place/depth --json")).json();
     let mut distances: Vec<f64> = made.means.iter().map(|mean| f64::from(glam::Vec3::from(*mean).length())).collect();
     distances.sort_by(f64::total_cmp);

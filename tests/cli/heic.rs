@@ -41,7 +41,6 @@ fn heic_pictures_are_photos() {
         }
     }
     assert_eq!(folder.names(), before);
-    // A photo of the same name replaces the HEIC.
     let outcome = folder.run(&format!("reconstruct @/phone/IMG_1.HEIC @/photos --json {LINE}one"));
     assert_eq!(outcome.json()["photos"], 3);
     fs::copy(folder.path("photos/1.png"), folder.path("phone/IMG_1.png")).expect("copied");

@@ -1,5 +1,3 @@
-//! A local model hub and its storage.
-
 use sha2::{Digest, Sha256};
 use std::{
     collections::VecDeque,
@@ -21,11 +19,9 @@ pub enum Act {
 
 pub struct State {
     pub file: Vec<u8>,
-    /// By default the file's.
     pub etag: Option<String>,
     pub size: Option<u64>,
     pub acts: VecDeque<Act>,
-    /// Instead of the redirect.
     pub refuses: Option<u16>,
     /// Method, path, range and presence of a token.
     pub requests: Vec<[String; 4]>,

@@ -88,7 +88,6 @@ fn a_plan_takes_what_a_run_then_takes() {
     let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply {drawing}")).json();
     assert_eq!(plan["peak_bytes"], run["peak_bytes"]);
     assert!(plan["separate_bytes"].as_u64() > plan["peak_bytes"].as_u64(), "{plan}");
-    // One of nine photos is held out.
     folder.run("scene --seed 5 --views 9 --size 42x28 -o @/place").success();
     let photos = "@/place/images --cameras @/place";
     for ratio in ["1", "0.5"] {

@@ -55,14 +55,12 @@ fn known_depth_joins_the_loss() {
     folder.write("place/depths.json", (0..6).fold(listed, with_depth));
     assert!(metric == refined("--depth-loss @/place/depths.json").1);
     folder.run(&line("--depth-loss @/place/transforms.json")).fails(3, &["transforms.json", "depth_file_path"]);
-    // The first three photos as levels, rounded; the others without depth.
     std::fs::create_dir(folder.path("levels")).expect("a folder");
     (0..3).for_each(|i| save_levels(&folder.path(&format!("levels/{i:03}.png")), [42, 28], &values(&folder, i)));
     let outcome = folder.run(&line("--depth-loss @/levels --explain"));
     assert!(outcome.err.contains("photos without depth: 003.png"), "{}", outcome.err);
     let text = outcome.success();
     assert!(text.contains("in the cameras' unit; weight 2") && folder.read("scene.ply") != metric, "{text}");
-    // A network's, predicted and from its file.
     folder.run("depth @/place/images --weights @/da3.safetensors --input-size 42 -o @/predicted").success();
     let text = folder.run(&line("--depth-loss @/predicted --explain")).success();
     let from_file = folder.read("scene.ply");

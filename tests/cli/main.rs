@@ -157,7 +157,6 @@ impl Folder {
         path
     }
 
-    /// Executable.
     #[cfg(unix)]
     fn script(&self, name: &str, text: &str) {
         use std::os::unix::fs::PermissionsExt;
@@ -186,7 +185,6 @@ impl Folder {
         Capture::open(self.path(name)).expect(name)
     }
 
-    /// Writes a random scene.
     fn scatter(&self, name: &str, count: usize, sh_degree: u32, scale: f32) {
         write_ply(&scenes::random_scene(count, sh_degree, scale), self.path(name)).expect(name);
     }

@@ -92,7 +92,6 @@ fn scannetpp(folder: &Folder, scene: &str, frames: &[CaptureView], [k1, k2, k3, 
     colmap(folder, &format!("{scene}/dslr/colmap"), frames, &camera, name);
 }
 
-/// Of the only scene.
 fn figures(json: &Value) -> [f64; 3] {
     let [row] = &json["scenes"].as_array().expect("rows")[..] else { panic!("not one row: {json}") };
     assert_eq!(row["scene"], "one");
@@ -167,7 +166,6 @@ fn a_series_keeps_what_was_done() {
     let cells: Vec<&str> = lines[5].trim_matches('|').split('|').map(str::trim).collect();
     let mean = |views| of(views).sum::<f64>() / 2.0;
     let [two, three] = [mean(2), mean(3)].map(|psnr| format!("{psnr:.2}"));
-    // 2x2 patches of 14 pixels, 4 Gaussians each.
     assert_eq!(cells[..6], ["micro", "✓", "✓", "2", "32", &two], "{table}");
     assert_eq!(cells[8..11], ["2", "48", &three], "{table}");
     let csv = folder.text("out/table.csv");
@@ -260,7 +258,6 @@ fn filter_and_source_size_are_those_of_tables_5_and_6() {
         run("--filter lanczos --source-side 40", "d"),
     ];
     assert_eq!(usual, lanczos);
-    // Only the photos that are compared.
     assert!(bilinear.0 != lanczos.0 && bilinear.1 == lanczos.1);
     assert!(source.0 != lanczos.0 && source.1 != lanczos.1);
     // The cameras follow the photos.

@@ -17,7 +17,6 @@ fn two_photos_become_a_scene() {
     let folder = Folder::new();
     let text = folder.run("reconstruct @/photos --weights seeded:vits --input-size 28x28 -o @/scene.ply").success();
     let scene = read_ply(folder.path("scene.ply")).expect("the scene can be read");
-    // 2 views of 2 x 2 patches, each 32 Gaussians of degree 1.
     assert_eq!((scene.len(), scene.sh_degree), (2 * 4 * 32, 1));
     for word in ["256 Gaussians", "2 views", "8 of 8 tokens", "load photos", "backbone", "gaussians", "write", "/s)"] {
         assert!(text.contains(word), "'{word}' is not in: {text}");

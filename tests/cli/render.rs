@@ -41,7 +41,6 @@ fn every_camera_gets_a_picture_and_again_the_same() {
 #[test]
 fn gaussians_are_drawn_as_points() {
     let folder = folder();
-    // In the middle, red in every direction.
     let mut scene = scenes::random_scene(1, 0, 0.2);
     (scene.means[0], scene.scales[0], scene.opacities[0]) = ([0.0, 0.0, 2.0], [1.0; 3], 0.2);
     scene.sh_coeffs[0] = [1.7, -1.7, -1.7];
@@ -133,7 +132,6 @@ fn cameras_count_from_a_photo_and_fit_a_size() {
     folder.run(&format!("{line}/from --relative-to elsewhere/b.png")).success();
     let (all, from) = (contents(&folder, "all"), contents(&folder, "from"));
     assert_eq!(Image::size(folder.path("all/000.png")).expect("a picture"), (24, 24));
-    // b is then the origin, half a unit right of its place in the file; a's field of view differs.
     assert_ne!(all["001.png"], from["001.png"]);
 }
 
@@ -264,7 +262,6 @@ fn only_own_pictures_are_replaced() {
         folder.run(&format!("{line} --overwrite")).success();
         assert_eq!(contents(&folder, "out"), drawn);
     }
-    // Unrequested outputs belong to the user.
     mine.save_png(folder.path("out/000.alpha.png")).expect("a photo can be written");
     mine.save_png(folder.path("out/003.png")).expect("a photo can be written");
     folder.run("render @/scene.ply --cameras @/cameras.json --depth -o @/out").success();

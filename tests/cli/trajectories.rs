@@ -1,5 +1,3 @@
-//! Camera paths of `zipsplat render`; pictures as one file or stream.
-
 use crate::{Folder, cancel::cancelled_when, names, raw_command};
 use glam::DMat3;
 use image::{AnimationDecoder, Delay, codecs::png::PngDecoder};
@@ -53,7 +51,6 @@ fn every_path_draws_its_pictures() {
     assert_eq!([&given[0], &given[2]], [&spline[0], &spline[4]], "a spline ends at its last camera");
 }
 
-/// A tilted capture.
 #[test]
 fn an_orbit_takes_its_up_from_cameras() {
     let folder = folder();
@@ -249,7 +246,6 @@ fn unusable_requests_leave_no_file() {
     assert_eq!(folder.names(), before);
 }
 
-/// Waits for a temporary file; none must remain.
 #[track_caller]
 fn cancelled_under_way(folder: &Folder, line: &str) {
     let before = folder.names();

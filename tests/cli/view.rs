@@ -49,7 +49,6 @@ fn a_page_has_its_scenes_within_it_and_asks_nobody() {
     }
     let policy = between(&page, "http-equiv=Content-Security-Policy content=\"", "\"");
     assert!(policy.contains("default-src 'none'") && policy.contains("connect-src 'none'"), "{policy}");
-    // The script with this hash.
     let script = page.rsplit_once("<script>").expect("a script").1;
     let script = script.split_once("</script>").expect("its end").0;
     assert_eq!(base64(between(policy, "sha256-", "'")), Sha256::digest(script).to_vec());
@@ -102,7 +101,6 @@ fn photos_become_scenes_of_several_ratios() {
         folder.run(&format!("view @/photos --weights @/micro.safetensors --input-size 56x28 -o @/page.html {options}"))
     };
     let json = view("--json").json();
-    // 2 views of 2 x 4 patches, 4 Gaussians each; a tenth of 16 tokens is one.
     assert_eq!(json["gaussians"], serde_json::json!([64, 32, 16, 4]));
     let page = folder.text("page.html");
     let config: serde_json::Value =

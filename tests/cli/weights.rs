@@ -202,7 +202,6 @@ fn another_run_goes_on_and_notices_another_file() {
     place.run(GET).success();
     assert_eq!(host.ranges()[asked..], [format!("bytes={third}-")]);
 
-    // Of a removed file.
     let other: Vec<u8> = std::fs::read(place.folder.path("cache/weights").join(converted(&file))).expect("f16");
     let host = Host::new(file, &broken);
     let place = Place::new(&host);

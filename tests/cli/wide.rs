@@ -1,4 +1,3 @@
-//! Photos of wide lenses in commands.
 #![cfg(unix)]
 
 use crate::{
@@ -39,7 +38,6 @@ fn a_scene_of_fisheyes_is_as_good_as_of_pinhole_photos() {
     };
     let (pinhole, fisheye) = (psnr("pinhole", 60), psnr("fisheye", 240));
     assert!(fisheye > pinhole - 1.0, "{fisheye} dB, of pinhole photos {pinhole} dB");
-    // A wrong coefficient is no lens of these photos.
     let mut file: serde_json::Value = serde_json::from_str(&folder.text("fisheye/transforms.json")).expect("JSON");
     file["k1"] = serde_json::json!(-0.15);
     folder.write("fisheye/transforms.json", file.to_string());

@@ -43,7 +43,6 @@ impl ImageTolerance {
 
 #[derive(Clone, Copy, Debug)]
 pub struct Picture<'a, T> {
-    /// `[height, width, channels]`.
     pub values: &'a [T],
     pub width: usize,
     /// 1 (alpha, depth) or 3 (RGB).

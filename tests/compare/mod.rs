@@ -19,7 +19,6 @@ pub struct Deviation {
     pub max: f64,
     /// Rms of got - truth over the rms of the truth.
     pub rms: f64,
-    /// Index and values of the largest deviation.
     pub worst: (usize, f64, f64),
     /// Rms of the truth, or 1 for zeros.
     pub scale: f64,
@@ -135,7 +134,6 @@ pub fn assert_gaussians_close(name: &str, got: &[impl Float], truth: &[impl Floa
     assert_gaussians_within(name, got, truth, width, Tolerance::of_field);
 }
 
-/// Tolerances are by field name.
 #[track_caller]
 pub fn assert_gaussians_within(
     name: &str,

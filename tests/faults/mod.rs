@@ -55,7 +55,6 @@ fn build_layer(folder: &TempDir) {
     std::fs::write(folder.path().join("faults.json"), manifest.to_string()).unwrap();
 }
 
-/// Faults of this process's next devices.
 pub struct Faults(PathBuf);
 
 impl Faults {
@@ -65,7 +64,6 @@ impl Faults {
         Self(std::env::var_os(FAULTS).expect("a child of this module's tests").into())
     }
 
-    /// Makes `function` return `result` from call `first` on; 0 disables it.
     pub fn set(&self, function: &str, first: u32, result: i32) {
         std::fs::write(&self.0, format!("{function} {first} {result}")).unwrap();
     }

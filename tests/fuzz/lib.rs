@@ -35,7 +35,6 @@ pub fn scene(extension: &str, bytes: &[u8]) {
     }
 }
 
-/// Compresses the content of an SPZ.
 pub fn deflated(bytes: &[u8]) -> Vec<u8> {
     let mut out = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     out.write_all(bytes).and_then(|()| out.finish()).expect("memory")

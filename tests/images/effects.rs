@@ -56,7 +56,6 @@ fn tokens_have_colors_of_their_own() {
     let scene = random_scene(300, 0, 0.3);
     for group in [1, 32, u32::MAX] {
         let request = RenderOptions { token_group: NonZeroU32::new(group), ..RenderOptions::default() };
-        // With two cameras a token has twice as many pairs.
         let frames = render(&scene, &[camera, camera], &request);
         let (truth, unstable) = blended(&scene, &camera, |i| color(i / group as usize));
         for frame in frames {

@@ -1,5 +1,3 @@
-//! Plans and their arena: preserved inputs, required rewrites, errors before anything runs.
-
 use zipsplat::reconstruct::{Network, Shape, TokenSampling};
 use zipsplat::{gpu::ArenaRow, kernels::ops::Add, stages::ViewGrid};
 use zipsplat_tests::prelude::*;

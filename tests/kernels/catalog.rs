@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 use zipsplat_tests::catalog::examine;
 use zipsplat_verify::{Area, Case, Mode, catalog, shapes};
 
-/// Defines a test for the kernels whose name starts with each prefix.
 macro_rules! families {
     ($($test:ident: $prefix:literal,)*) => {
         const FAMILIES: &[&str] = &[$($prefix),*];

@@ -1,5 +1,3 @@
-//! Self-test of fast kernels and its consequences.
-
 use zipsplat::gpu::Matrices;
 use zipsplat::tune::{KernelChoice, SelfTest};
 use zipsplat_tests::prelude::*;

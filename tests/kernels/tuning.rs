@@ -1,5 +1,3 @@
-//! Tuning of tiles: all are timed, and the fastest wins.
-
 use crate::case::*;
 use zipsplat::ops::{LaneTile, Tile, Tiles, Units};
 use zipsplat::tune::{Measured, Tuning};

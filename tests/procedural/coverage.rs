@@ -1,5 +1,3 @@
-//! Coverage over many seeds.
-
 use std::collections::HashMap;
 
 use zipsplat_cli::procedural::{Family, PathKind, Shape};

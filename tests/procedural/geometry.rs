@@ -1,5 +1,3 @@
-//! Depth and poses match the scene.
-
 use crate::{capture, options, rays, setup};
 use zipsplat_cli::procedural::{Capture, Photos, Setup};
 use zipsplat_tests::prelude::*;
@@ -50,7 +48,6 @@ fn depth_is_that_of_brute_force_in_f64() {
     assert!(compared > 1500, "only {compared} pixels show a surface");
 }
 
-/// Pixel and z of a world point, if in the picture.
 fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
     let p = camera.pose.inverse().transform(point);
     let i = &camera.intrinsics;

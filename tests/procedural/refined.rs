@@ -1,5 +1,3 @@
-//! Refinement of procedural captures, whose pictures and depth are exact at any size.
-
 use super::capture;
 use std::{borrow::Cow, ops::ControlFlow};
 use zipsplat::{
@@ -19,7 +17,6 @@ fn options(side: u32) -> Options {
     Options { views: 12, width: side, height: side, supersample: true, random_first: false }
 }
 
-/// Photos of a capture, with depth if `depth`.
 struct Known<'a> {
     capture: &'a Capture,
     views: Vec<usize>,
@@ -90,7 +87,6 @@ fn scores(scene: &Scene, cameras: &[Camera], images: &[Image], depths: &[Vec<f32
     [sum, errors.get(errors.len() / 2).copied().unwrap_or(0.0)]
 }
 
-/// Means of squares of pixels.
 fn shrunk(image: &Image, factor: u32) -> Image {
     let (width, height) = (image.width / factor, image.height / factor);
     let value = |at: u32| {
@@ -161,7 +157,6 @@ fn known_depth_of_few_photos_improves_other_views() {
     assert!(relative[0] > without[0] + 0.5, "{relative:?}, {without:?}");
 }
 
-/// The depth of photos without any has no effect, to the bit.
 #[test]
 fn unknown_depth_changes_nothing() {
     let photos = capture(2, &options(32));

@@ -1,5 +1,3 @@
-//! Cameras estimated from a scene of known depth.
-
 use glam::DVec2;
 use zipsplat::reconstruct::Patches;
 use zipsplat::{cameras::CameraEstimate, stages::ViewGrid};

@@ -1,5 +1,3 @@
-//! Cameras, poses and paths against PyTorch.
-
 use zipsplat::types::{Orbit, prior_encoding, quaternion_from_matrix};
 use zipsplat_tests::prelude::*;
 

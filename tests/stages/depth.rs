@@ -1,5 +1,3 @@
-//! Depth networks against PyTorch, tap by tap.
-
 use serde_json::Value;
 use std::collections::BTreeSet;
 use zipsplat::Scene;

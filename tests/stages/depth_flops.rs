@@ -1,5 +1,3 @@
-//! FLOPs of depth plans against PyTorch's.
-
 use zipsplat::{depth::DepthNetwork, gpu::Profile, weights::DepthArchitecture};
 use zipsplat_tests::prelude::*;
 

@@ -1,5 +1,3 @@
-//! Scenes and scales from known depth.
-
 use zipsplat::depth::{DepthMap, DepthPrediction, add_view};
 use zipsplat::gpu::StageTimes;
 use zipsplat_tests::prelude::*;

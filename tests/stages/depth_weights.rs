@@ -1,5 +1,3 @@
-//! Files of depth networks with released names.
-
 use safetensors::{Dtype, tensor::TensorView};
 use tempfile::TempDir;
 use zipsplat::ops::Ffn;
@@ -12,7 +10,6 @@ fn tiny() -> DepthArchitecture {
     DepthArchitecture { gaussians: true, ..tiny }
 }
 
-/// At a tiny size.
 fn manifest(config: &str) -> Option<Vec<(String, Vec<usize>)>> {
     let manifest = golden::json(&format!("{config}.manifest.json"))?;
     let parameters = manifest["params"].as_object().expect("parameters");

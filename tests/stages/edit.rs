@@ -1,5 +1,3 @@
-//! Edits of scenes against brute force.
-
 use glam::{DMat3, DQuat, DVec3};
 use zipsplat::{
     Camera, Edit, Edited, Pose, Scene,

@@ -65,7 +65,6 @@ fn cell(pixel: u32, camera: &Camera, [width, height]: [u32; 2]) -> usize {
     (pixel / columns * height / rows * width + pixel % columns * width / columns) as usize
 }
 
-/// Returns the mean and weight of each row by brute force.
 fn expected(
     seen: &[Vec<Option<Vec<f64>>>],
     cameras: &[Camera],

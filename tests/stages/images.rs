@@ -1,5 +1,3 @@
-//! Photos: decoding, orientation, preprocessing.
-
 use image::{DynamicImage, ImageFormat};
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
@@ -22,7 +20,6 @@ fn dynamic(image: &Image) -> DynamicImage {
     DynamicImage::ImageRgb8(image::RgbImage::from_vec(image.width, image.height, image.rgb.clone()).unwrap())
 }
 
-/// Under a name without extension.
 fn open(bytes: &[u8]) -> Result<Image, Error> {
     let opened = read_as("photo", bytes, |path| Image::open(path));
     if let Err(error) = &opened {

@@ -30,7 +30,6 @@ use zipsplat::{
 const LARGEST: u32 = 1600;
 const KEYS: [&str; 2] = ["zipsplat.scene_sha256", "zipsplat.group"];
 
-/// Photos that show a scene.
 #[derive(Args)]
 pub struct PosedPhotos {
     /// Cameras of the photos: transforms.json or a COLMAP model's folder
@@ -43,7 +42,6 @@ pub struct PosedPhotos {
 }
 
 impl PosedPhotos {
-    /// Opens the capture, and maps it to the scene's world.
     pub fn open(&self, session: &mut Session<'_>, world: Option<&World>) -> Result<(Capture, Similarity)> {
         let capture = Capture::open(&self.cameras)?;
         session.notes(&capture.warnings);
@@ -63,7 +61,6 @@ pub fn values_file(folder: &Path, photo: &str) -> Option<PathBuf> {
 pub struct ValueFiles(Vec<(PathBuf, Camera, Option<Lens>)>);
 
 impl ValueFiles {
-    /// Finds NAME.npy or NAME.png for photos of a capture.
     pub fn find(session: &mut Session<'_>, folder: &Path, photos: &PosedPhotos, world: Option<&World>) -> Result<Self> {
         let (capture, to_scene) = photos.open(session, world)?;
         let mut files = Vec::new();
@@ -195,7 +192,6 @@ pub fn check_count(features: &[PathBuf], scenes: &[PathBuf]) -> Result<()> {
     Err(Error::argument("--features", counted(features.len(), "file"), expected))
 }
 
-/// Reads features of a scene.
 pub fn open(path: &Path, scene: &Scene) -> Result<Lifted> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |reason: String| Error::format(path, None, reason);

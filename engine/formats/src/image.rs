@@ -137,9 +137,6 @@ impl Image {
 
     /// Converts `[height][width][rgb]` floats: clamps to 0..1, multiplies by 255 and truncates, as
     /// the reference's viewer. NaN becomes 0.
-    ///
-    /// # Errors
-    /// As [`Image::new`].
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
     }
@@ -164,8 +161,7 @@ impl Image {
         Ok(Self { width, height, rgb: cut(&self.rgb, 3), mask })
     }
 
-    /// # Errors
-    /// As [`Image::new`].
+    /// Checks as [`Image::new`].
     pub fn validate(&self) -> Result<()> {
         let expected = 3 * u64::from(self.width) * u64::from(self.height);
         if expected == 0 || self.rgb.len() as u64 != expected {

@@ -139,9 +139,6 @@ impl Lens {
     }
 
     /// Returns the pinhole camera of the shown view.
-    ///
-    /// # Errors
-    /// As [`Lens::views`].
     pub fn pinhole(&self, name: &str) -> Result<Intrinsics> {
         Ok(self.views(name)?[0].intrinsics)
     }
@@ -195,9 +192,6 @@ impl Lens {
 
     /// Returns the place in a photo of this size of each row and column of the shown view's
     /// picture: NaN outside a cut photo.
-    ///
-    /// # Errors
-    /// As [`Lens::views`].
     pub fn places(&self, photo: [u32; 2]) -> Result<impl Fn(usize, usize) -> (f64, f64) + Sync> {
         let views = self.views("photo")?;
         let LensView { intrinsics, rotation } = views[self.view.min(views.len() - 1)];
@@ -236,7 +230,6 @@ impl Lens {
         Ok(self.zoomed(high))
     }
 
-    /// A square view with the resolution of the photo's center.
     fn square(&self) -> Intrinsics {
         let (i, half) = (&self.intrinsics, (CUT_VIEW_DEG / 2.0).to_radians().tan());
         let most = f64::from(i.width.max(i.height).saturating_mul(2).min(MAX_SIDE));

@@ -47,9 +47,6 @@ impl Default for DepthOptions {
 
 impl DepthModel {
     /// Loads a checkpoint's path, or `seeded:NAME` for random weights.
-    ///
-    /// # Errors
-    /// As [`DepthCheckpoint::open`]; [`crate::Error::Memory`].
     pub fn load(device: &Device, weights: &str) -> Result<Self> {
         let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(weights, gaussians))?;
         let KernelChoice { arithmetic, .. } = KernelChoice::of(device, None)?;

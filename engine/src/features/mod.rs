@@ -79,7 +79,6 @@ impl Features {
 /// Lifts and draws features on one device.
 pub struct FeatureRenderer {
     arena: Arena,
-    /// Uploads scenes.
     renderer: Renderer,
     plans: PlanCache<Job, FeaturePlan>,
 }
@@ -103,7 +102,6 @@ struct FeaturePlan {
     status: Tensor,
 }
 
-/// Device memory of a part's features.
 struct Part {
     resident: Arc<Resident>,
     /// One, or one per pass of drawing.
@@ -122,9 +120,6 @@ impl FeatureRenderer {
     /// `values` returns those of a camera, of any size with the picture's shape, and is called
     /// once per part of the channels. Pixels with a NaN do not count. The same inputs give the
     /// same bits.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input, those of `values`, and [`Error::Memory`].
     pub fn lift(
         &mut self,
         scene: &Scene,
@@ -167,9 +162,6 @@ impl FeatureRenderer {
     }
 
     /// Draws features as pictures of the same channels, 0 where nothing is.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input, and [`Error::Memory`].
     pub fn draw(&mut self, scene: &Scene, features: &Features, cameras: &[Camera]) -> Result<Vec<PixelValues>> {
         features.validate(scene)?;
         check(cameras)?;

@@ -4,7 +4,6 @@ use super::{Features, Lifted};
 use crate::{Error, Result, types::Scene};
 use std::iter::zip;
 
-/// Neighbors through which a selection spreads.
 const NEIGHBORS: usize = 8;
 
 impl Lifted {

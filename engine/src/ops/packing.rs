@@ -6,7 +6,6 @@ use rayon::prelude::*;
 const PANEL: usize = PANEL_COLUMNS as usize;
 const GROUP: usize = Q8_GROUP as usize;
 
-/// Conversion to a kernel's layout.
 #[derive(Clone, Copy)]
 pub(super) enum Packing {
     /// Unchanged values.

@@ -84,7 +84,6 @@ impl SceneTokens {
         self.scene_scale
     }
 
-    /// Returns the tokens of these numbers.
     fn among(&self, device: &Device, numbers: &[usize]) -> Result<Self> {
         let all: Vec<f32> = self.memory.read(self.tensor)?;
         let rows = numbers.iter().flat_map(|token| &all[token * self.width..(token + 1) * self.width]);

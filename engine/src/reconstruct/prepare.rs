@@ -11,7 +11,6 @@ use crate::{
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
-/// Fraction of a reconstruction's progress.
 const PREPARATION: f64 = 0.1;
 
 /// Network views of photos, with options in their terms.
@@ -60,9 +59,6 @@ impl Model {
 
     /// Prepares `count` photos, which `view` opens and fits to a width and height. Checks options
     /// before the first.
-    ///
-    /// # Errors
-    /// Those of [`Model::reconstruct`] and `view`.
     pub fn prepare(
         &self,
         count: usize,

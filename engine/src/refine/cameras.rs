@@ -25,7 +25,6 @@ impl PoseAdam {
     }
 }
 
-/// Cameras of all photos; only training cameras move.
 pub(super) struct Cameras {
     cameras: Vec<Camera>,
     adams: Vec<Option<PoseAdam>>,
@@ -58,7 +57,6 @@ impl Cameras {
     }
 }
 
-/// Poses of cameras; the rest of them is known.
 pub(super) fn poses(state: &mut State<'_>, name: &str, cameras: &mut [Camera]) -> Result<()> {
     let row = |camera: &Camera| -> [f64; 12] {
         let Pose { rotation, translation } = camera.pose;

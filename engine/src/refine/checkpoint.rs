@@ -35,16 +35,13 @@ pub struct RefineCheckpoint {
 /// Name and value of conditions that a checkpoint shares with the refinement that continues it.
 pub(super) type Identity = Vec<(&'static str, String)>;
 
-/// A state that is written, or read in the same order.
 pub(super) enum State<'a> {
     Save(Vec<Values>),
     Load(SafeTensors<'a>, &'a Path),
 }
 
-/// Name, type, shape and bytes.
 pub(super) type Values = (String, Dtype, Vec<usize>, Vec<u8>);
 
-/// A number, or a row of numbers.
 pub(super) trait Element: Pod {
     const DTYPE: Dtype;
     const WIDTH: usize = 1;
@@ -165,7 +162,6 @@ impl State<'_> {
 }
 
 impl RefineCheckpoint {
-    /// Returns the file's bytes, if it exists.
     pub(super) fn read(&self) -> Result<Option<Vec<u8>>> {
         if !self.path.exists() {
             return Ok(None);

@@ -145,7 +145,6 @@ impl Gains {
         Ok(Self { factors, squares: [squares([1.0; 3]), squares(factors)] })
     }
 
-    /// Returns whether the factors explain a large part of the pictures' errors.
     fn differ(all: &[Self]) -> bool {
         let [without, with] = [0, 1].map(|i| all.iter().map(|gains| gains.squares[i]).sum::<f64>());
         with < (1.0 - EXPLAINED) * without

@@ -37,7 +37,6 @@ const LIMIT_RATE: f32 = 2.0;
 /// Limit of pixels per run.
 const MAX_BATCH_PIXELS: usize = 1 << 20;
 
-/// Names in checkpoints.
 const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
 
 struct Field {

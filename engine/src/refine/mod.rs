@@ -313,7 +313,6 @@ fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>, factor: u32) -> impl Itera
     (0..photos.count()).map(move |i| fitted(photos.size(i), most, factor))
 }
 
-/// Returns the most steps with growth in the time of `steps` without.
 fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Option<usize>) -> usize {
     let cost = |steps: usize| {
         let factor = grow(steps).zip(len).map(|(most, len)| most as f64 / len as f64);

@@ -63,9 +63,7 @@ pub(super) struct PhotoCache<'a> {
     photos: &'a dyn Photos,
     max_size: Option<[u32; 2]>,
     coarse: bool,
-    /// Kind of the photos' depth, if needed.
     depth: Option<DepthKind>,
-    /// Bytes left for further photos.
     left: u64,
     /// By photo and downscaling factor.
     kept: HashMap<(usize, u32), Photo>,

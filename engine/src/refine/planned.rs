@@ -18,7 +18,6 @@ use crate::{
     },
 };
 
-/// Channels of photos and of the frames compared with them.
 const COLORS: usize = 3;
 
 /// A plan that renders photos' cameras and, in training, accumulates gradients.
@@ -61,7 +60,6 @@ pub(super) struct DepthTensors {
     value: Tensor,
 }
 
-/// Settings of a plan that accumulates gradients.
 pub(super) struct Training<'a> {
     pub options: &'a RefineOptions,
     pub gradients: &'a Gradients,

@@ -41,11 +41,9 @@ pub(super) struct Refinement<'a> {
     growth: Option<(Growth, FreeSpace)>,
     order: Order,
     training: Vec<usize>,
-    /// Photos of the next steps.
     upcoming: VecDeque<usize>,
     /// Downscaling factor.
     factor: u32,
-    /// Photos of the training PSNR.
     measured: Vec<View>,
     validation: Vec<View>,
     holdout: Vec<usize>,
@@ -269,7 +267,6 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
-    /// Keeps the best scene.
     fn stop(&mut self, done: usize, why: StopReason) -> Result<Option<StopReason>> {
         self.evaluate(done)?;
         self.keep();
@@ -290,7 +287,6 @@ impl<'a> Refinement<'a> {
         views
     }
 
-    /// Steps the cameras and exposures of a step's photos.
     fn step_photos(&mut self, step: usize, found: &[PhotoLoss]) {
         let (rate, along) = (self.schedule.rate(step), step as f64 / self.steps as f64);
         for PhotoLoss { photo, d_pose, d_exposure, .. } in found {

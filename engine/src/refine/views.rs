@@ -32,7 +32,6 @@ impl View {
     }
 }
 
-/// Returns the camera of a photo `from` a size, at another size.
 pub(super) fn resized(i: usize, camera: &Camera, from: [u32; 2], size: [u32; 2]) -> Result<Camera> {
     check_camera(i, camera)?;
     let intrinsics = PixelMap::resized(from, size).apply(&camera.intrinsics, &format!("camera {i}"))?;

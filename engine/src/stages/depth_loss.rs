@@ -9,7 +9,6 @@ use crate::{
 
 /// Pixels per invocation.
 const RUN: usize = 8;
-/// Terms of a least squares line.
 const TERMS: usize = 5;
 /// RGB, alpha and expected depth.
 const CHANNELS: usize = 5;

@@ -7,13 +7,10 @@ use crate::ops::attention::{attention, attention_to_means};
 use crate::ops::linear::layer_scale;
 use crate::ops::split_heads::{Part, Pool, split_heads};
 
-/// Default LayerNorm epsilon.
 pub const EPS: f64 = 1e-5;
 
-/// Block options.
 #[derive(Clone, Copy)]
 pub struct Options<'a> {
-    /// Attention heads.
     pub heads: usize,
     /// Epsilon of `norm1` and `norm2`.
     pub eps: f64,

@@ -1,9 +1,6 @@
-//! Camera encoder.
-
 use super::block::{EPS, Options, block, mlp};
 use crate::model::Scope;
 
-/// A known camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Prior {
     /// Width, height, fx, fy, cx, cy in pixels.

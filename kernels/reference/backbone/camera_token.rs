@@ -1,5 +1,3 @@
-//! Camera tokens.
-
 /// Overwrites each view's first token in `x [views, tokens, width]` by `cameras [views, width]`.
 pub fn insert_camera_tokens(x: &mut [f64], tokens: usize, cameras: &[f64], width: usize) {
     for (view, camera) in x.chunks_mut(tokens * width).zip(cameras.chunks(width)) {

@@ -1,5 +1,3 @@
-//! Features for fusion.
-
 use super::average_halves::average_halves;
 use super::block::EPS;
 use crate::model::Model;

@@ -1,14 +1,9 @@
-//! Patches.
-
 /// Views of equal size.
 pub struct Images {
     /// `[views, 3, height, width]` in 0..1.
     pub values: Vec<f64>,
-    /// Views.
     pub views: usize,
-    /// Height.
     pub height: usize,
-    /// Width.
     pub width: usize,
 }
 
@@ -28,7 +23,6 @@ impl Images {
         Images { values: self.values.iter().enumerate().map(value).collect(), ..*self }
     }
 
-    /// Returns patch rows and columns.
     pub fn grid(&self, patch: usize) -> [usize; 2] {
         [self.height / patch, self.width / patch]
     }

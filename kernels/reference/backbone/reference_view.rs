@@ -1,5 +1,3 @@
-//! Reference view selection.
-
 /// Returns for each view of `tokens [views, width]`: mean similarity to others, length, variance of
 /// normalized channels, and summed distance from the middles of their ranges.
 pub fn scores(tokens: &[f64], width: usize) -> Vec<[f64; 4]> {

@@ -1,5 +1,3 @@
-//! First tokens.
-
 use super::{patchify::*, positions::interpolate};
 use crate::{model::Scope, ops::add::add, widen};
 

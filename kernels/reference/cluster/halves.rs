@@ -1,5 +1,3 @@
-//! Centered rows.
-
 /// Returns `rows [N, width]` minus `origin`, and half their squared lengths.
 pub fn about(rows: &[f64], origin: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let moved: Vec<f64> =

@@ -1,5 +1,3 @@
-//! Cluster means.
-
 /// Averages each cluster's `points [N, width]`; empty clusters are zero.
 pub fn mean(points: &[f64], cluster_of_point: &[u32], clusters: usize, width: usize) -> Vec<f64> {
     let (mut sums, mut counts) = (vec![0.0; clusters * width], vec![0.0f64; clusters]);

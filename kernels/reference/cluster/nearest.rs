@@ -1,5 +1,3 @@
-//! Nearest targets.
-
 use rayon::prelude::*;
 
 /// Relative tolerance of tied squared distances.

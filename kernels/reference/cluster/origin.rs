@@ -1,5 +1,3 @@
-//! Origin.
-
 /// Averages `samples` evenly spaced rows of `[N, width]`.
 pub fn origin(rows: &[f64], width: usize, samples: usize) -> Vec<f64> {
     let apart = rows.len() / width / samples;

@@ -1,5 +1,3 @@
-//! Row panels.
-
 /// Transposes `rows [N, width]` to `[panels, width, columns]`, padded with the last row.
 pub fn panels(rows: &[f32], width: usize, columns: usize) -> Vec<f32> {
     let last = rows.len() / width - 1;

@@ -1,5 +1,3 @@
-//! Cross-attention block.
-
 use crate::backbone::block::{EPS, head_norm, mlp};
 use crate::model::Scope;
 use crate::ops::add::add;

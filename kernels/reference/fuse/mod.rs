@@ -1,3 +1,1 @@
-//! Fusion of scene tokens.
-
 pub mod cross_attention;

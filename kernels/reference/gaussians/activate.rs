@@ -1,5 +1,3 @@
-//! Activation of raw Gaussians.
-
 use crate::ops::activation::{sigmoid, softplus};
 
 /// Activates one Gaussian: mean 3, scale 3, quaternion 4 (wxyz, unit), opacity 1, SH.

@@ -1,5 +1,3 @@
-//! Backward pass of activation.
-
 use crate::ops::activation::{sigmoid, softplus};
 
 /// Returns `d loss / d raw` for gradient `d` by [`activate`](super::activate::activate)'s output.

@@ -1,4 +1,2 @@
-//! Gaussian head.
-
 pub mod activate;
 pub mod activate_backward;

@@ -1,5 +1,3 @@
-//! Convolutions.
-
 use crate::ops::{im2col::im2col, linear::linear};
 
 /// Convolves `[height, width, channels]` with `weight [outputs, channels, side, side]`,

@@ -1,5 +1,3 @@
-//! Resizing and position embedding.
-
 /// Resizes `[height, width, channels]` bilinearly with aligned corners.
 pub fn resize(picture: &[f64], [width, channels]: [usize; 2], [out_height, out_width]: [usize; 2]) -> Vec<f64> {
     let height = picture.len() / (width * channels);

@@ -1,5 +1,3 @@
-//! Image losses.
-
 pub mod depth;
 pub mod gradient;
 pub mod targets;

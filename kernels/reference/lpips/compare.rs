@@ -1,5 +1,3 @@
-//! Feature comparison.
-
 const EPSILON: f64 = 1e-10;
 
 /// Sums weighted squared differences of unit features `[pixels, channels]` per pixel.

@@ -6,17 +6,13 @@ pub mod pool;
 
 use super::ops::{im2col::im2col, linear::linear};
 
-/// A convolution layer.
 pub struct Layer {
     /// `[outputs, side, side, inputs]`.
     pub weight: Vec<f32>,
     /// `[outputs]`.
     pub bias: Vec<f32>,
-    /// Kernel side.
     pub side: usize,
-    /// Stride.
     pub step: usize,
-    /// Zero padding.
     pub padding: usize,
     /// Side and stride of the preceding pooling.
     pub pool: Option<[usize; 2]>,

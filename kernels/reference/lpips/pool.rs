@@ -1,5 +1,3 @@
-//! Max pooling.
-
 /// Takes the largest value of `side` x `side` windows at every `step` of `[height, width,
 /// channels]`.
 pub fn pool(picture: &[f64], [width, channels]: [usize; 2], side: usize, step: usize) -> Vec<f64> {

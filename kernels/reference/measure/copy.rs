@@ -1,6 +1,3 @@
-//! A copy.
-
-/// Copies `source`.
 pub fn copy(source: &[u32]) -> Vec<u32> {
     source.to_vec()
 }

@@ -1,5 +1,3 @@
-//! Matrix products.
-
 /// Sums `a b` over `iterations` and the matrices of `b [products, k, n]`. Bits of `swaps`, modulo
 /// 32, exchange the matrices of `a [2, m, k]` after an iteration.
 pub fn products(a: &[f64], b: &[f64], [m, n, k]: [usize; 3], iterations: u32, swaps: u32) -> Vec<f64> {

@@ -1,5 +1,3 @@
-//! Throughput kernels.
-
 pub mod copy;
 pub mod fma;
 pub mod matrix;

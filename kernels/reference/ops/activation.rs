@@ -1,5 +1,3 @@
-//! Activations.
-
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 /// Computes the error function to about 1e-15 by terms of one sign (Abramowitz and Stegun 7.1.6).
@@ -23,7 +21,6 @@ pub fn gelu(x: f64) -> f64 {
     0.5 * x * (1.0 + erf(x * FRAC_1_SQRT_2))
 }
 
-/// Computes the logistic function.
 pub fn sigmoid(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }

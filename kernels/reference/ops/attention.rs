@@ -1,5 +1,3 @@
-//! Softmax attention.
-
 use rayon::prelude::*;
 
 /// Computes `softmax(q k^T / sqrt(head_dim)) v` per head. `q` and the result `[queries, heads,

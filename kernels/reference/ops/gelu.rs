@@ -1,5 +1,3 @@
-//! GELU backward pass.
-
 use super::activation::erf;
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 

@@ -1,5 +1,3 @@
-//! Convolution inputs.
-
 /// Cuts an image `[height, width, channels]` into rows `[side, side, channels]`, one per output
 /// pixel. `spread - 1` zeros separate pixels, `padding` surrounds them.
 pub fn im2col(

@@ -1,5 +1,3 @@
-//! Layer normalization.
-
 /// Normalizes rows to mean 0 and biased variance 1, then applies `weight` and `bias`.
 pub fn layer_norm(x: &[f64], weight: &[f32], bias: &[f32], eps: f64) -> Vec<f64> {
     let width = weight.len();

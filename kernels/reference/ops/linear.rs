@@ -1,5 +1,3 @@
-//! Linear layers and LayerScale.
-
 use rayon::prelude::*;
 
 /// Multiplies `x [rows, inputs]` by `weight [outputs, inputs]` transposed and adds `bias`.
@@ -12,7 +10,6 @@ pub fn linear(x: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
     x.par_chunks(inputs).flat_map_iter(|row| (0..bias.len()).map(move |j| output(row, j))).collect()
 }
 
-/// Scales every row of `x` by `gamma`.
 pub fn layer_scale(x: &[f64], gamma: &[f32]) -> Vec<f64> {
     x.chunks(gamma.len()).flat_map(|row| row.iter().zip(gamma).map(|(x, &g)| x * f64::from(g))).collect()
 }

@@ -1,5 +1,3 @@
-//! Operations of several stages.
-
 pub mod activation;
 pub mod add;
 pub mod attention;

@@ -1,5 +1,3 @@
-//! Row quantization.
-
 /// Returns values in 127ths of their row's largest magnitude, and that unit per row; 0 for zero
 /// rows.
 pub fn quantize_rows(source: &[f64], width: usize) -> (Vec<f64>, Vec<f64>) {

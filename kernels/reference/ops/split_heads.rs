@@ -1,5 +1,3 @@
-//! Heads of projections.
-
 use super::layer_norm::layer_norm;
 use super::place_columns::columns;
 use crate::backbone::rope::rope;
@@ -9,9 +7,7 @@ use crate::backbone::rope::rope;
 pub struct Part<'a> {
     /// First column.
     pub column: usize,
-    /// Attention heads.
     pub heads: usize,
-    /// Channels per head.
     pub head_dim: usize,
     /// Weight, bias and epsilon of the LayerNorm over a head's channels.
     pub norm: Option<(&'a [f32], &'a [f32], f64)>,

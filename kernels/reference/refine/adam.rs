@@ -1,6 +1,3 @@
-//! Adam.
-
-/// A value and its moments.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Adam {
     /// Value in the optimization space.

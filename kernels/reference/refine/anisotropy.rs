@@ -1,5 +1,3 @@
-//! Anisotropy limit of Gaussians.
-
 /// Steps the largest scale down to `ratio` times the middle one, by at most `rate` in its
 /// logarithm.
 pub fn limited(scales: [f64; 3], ratio: f64, rate: f64) -> [f64; 3] {

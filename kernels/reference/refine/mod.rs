@@ -1,5 +1,3 @@
-//! Refinement.
-
 pub mod adam;
 pub mod anisotropy;
 pub mod exposure;

@@ -18,17 +18,14 @@ pub struct Weights {
     pub depth: Vec<f64>,
 }
 
-/// Perturbation of Gaussians and cameras.
 #[derive(Clone, Debug)]
 pub struct Direction {
-    /// Gaussians.
     pub gaussians: Gaussians,
     /// w and v of the camera-to-world pose o (exp(w^), v); fx, fy, cx, cy.
     pub cameras: Vec<[f64; 10]>,
 }
 
 impl Direction {
-    /// Returns the zero direction.
     pub fn still(gaussians: &Gaussians, cameras: usize) -> Self {
         let count = gaussians.means.len();
         let gaussians = Gaussians {
@@ -42,14 +39,12 @@ impl Direction {
     }
 }
 
-/// Rendering options.
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {
     /// Compensates opacity for blur.
     pub antialiased: bool,
     /// Divides depth by alpha.
     pub expected_depth: bool,
-    /// Background color.
     pub background: [f64; 3],
 }
 
@@ -122,7 +117,6 @@ pub struct Ellipse {
     pub conic: [f64; 3],
     /// Peak alpha.
     pub opacity: f64,
-    /// RGB.
     pub color: [f64; 3],
     /// Camera z.
     pub depth: f64,
@@ -174,13 +168,11 @@ pub fn through_pixel(splats: &[Ellipse], [x, y]: [f64; 2], d: [f64; 5], backgrou
 /// Gradients of a Gaussian and its camera.
 #[derive(Clone, Copy, Debug)]
 pub struct OneGradient {
-    /// Center.
     pub mean: [f64; 3],
     /// Standard deviations.
     pub scale: [f64; 3],
     /// wxyz.
     pub quat: [f64; 4],
-    /// Opacity.
     pub opacity: f64,
     /// As [`Direction::cameras`].
     pub camera: [f64; 10],

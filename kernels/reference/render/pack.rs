@@ -1,5 +1,3 @@
-//! 8-bit images.
-
 /// Packs RGBA to bytes: color truncated, alpha rounded half to even.
 pub fn pack(frames: &[[f64; 4]], blue_first: bool) -> Vec<[u8; 4]> {
     let steps: Vec<f32> = (1..=255).map(|step| step as f32).collect();

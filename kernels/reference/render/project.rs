@@ -16,7 +16,6 @@ const TILE: f64 = 16.0;
 /// Gaussians in world units; their order breaks depth ties.
 #[derive(Clone, Debug, Default)]
 pub struct Gaussians {
-    /// Centers.
     pub means: Vec<[f64; 3]>,
     /// wxyz, nonzero, any length.
     pub quats: Vec<[f64; 4]>,
@@ -53,7 +52,6 @@ impl Camera {
         }
     }
 
-    /// Returns the world-space center.
     pub fn center(&self) -> DVec3 {
         self.rotation.inverse() * -self.translation
     }

@@ -14,9 +14,7 @@ pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 pub struct Rules {
     /// Least alpha of a splat.
     pub min_alpha: f64,
-    /// Largest alpha of a splat.
     pub max_alpha: f64,
-    /// A pixel stops before this transmittance.
     pub min_transmittance: f64,
 }
 

@@ -1,5 +1,3 @@
-//! Camera encoder input, computed on the host.
-
 use crate::prelude::*;
 use glam::{DMat3, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI};

@@ -21,7 +21,6 @@ pub struct Problem {
 
 /// Result of a device.
 pub struct Chosen {
-    /// Chosen target per point.
     pub targets: Vec<u32>,
     /// Origin for matrix units.
     pub origin: Option<Vec<f32>>,
@@ -51,7 +50,6 @@ pub enum Fault {
 }
 
 impl Truth {
-    /// Searches exhaustively.
     pub fn new(points: &[f32], targets: &[f32], width: usize) -> Self {
         let (points, targets) = (widen(points), widen(targets));
         let nearest = two_nearest(&points, &targets, width);

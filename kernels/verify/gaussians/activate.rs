@@ -103,7 +103,6 @@ impl Values for Problem {
     }
 }
 
-/// Activates raw Gaussians on a device.
 pub fn run(device: &Device, raw: &[f32], degree: u32, scale: f32) -> Result<Vec<f32>> {
     let count = raw.len() / width(degree);
     let mut trial = Trial::new(device);

@@ -1,5 +1,3 @@
-//! Depth sort and its prefix sums.
-
 use crate::prelude::*;
 use zipsplat::ops::{scan::exclusive_scan, sort::sort_pairs};
 

@@ -1,5 +1,3 @@
-//! Means of halves, exact: one rounding and a power of two.
-
 use crate::case::*;
 use zipsplat::kernels::backbone::AverageHalves;
 use zipsplat_tests::reference::backbone::average_halves::average_halves;

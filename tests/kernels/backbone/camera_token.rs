@@ -1,5 +1,3 @@
-//! Camera tokens, exact.
-
 use crate::case::*;
 use zipsplat::kernels::backbone::CameraToken;
 use zipsplat_tests::reference::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};

@@ -1,5 +1,3 @@
-//! Patches, exact.
-
 use crate::case::*;
 use zipsplat::kernels::backbone::Patchify;
 use zipsplat_tests::reference::backbone::patchify::{Images, patchify};

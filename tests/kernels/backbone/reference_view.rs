@@ -1,5 +1,3 @@
-//! Choice of the reference view: scores and ties.
-
 use crate::case::*;
 use zipsplat::kernels::backbone::ReferenceView;
 use zipsplat_tests::reference::backbone::reference_view::scores;
@@ -25,7 +23,6 @@ fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {
     (run.read(scores).unwrap(), run.read::<u32>(reference).unwrap()[0])
 }
 
-/// Returns similar tokens, as of one scene.
 fn alike(seed: u64, views: usize, width: usize) -> Vec<f32> {
     let (common, own) = (random(seed, width), random(seed + 1, views * width));
     own.iter().enumerate().map(|(i, x)| 3.0 * (common[i % width] + 0.3) + 0.5 * x).collect()

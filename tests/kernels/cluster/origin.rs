@@ -1,5 +1,3 @@
-//! Means of evenly spaced rows.
-
 use crate::case::*;
 use zipsplat::kernels::cluster::Origin;
 use zipsplat_tests::reference::cluster::origin::origin as reference;

@@ -1,5 +1,3 @@
-//! Panels of rows, bit for bit.
-
 use crate::case::*;
 use zipsplat::{kernels::cluster::Panels, kernels::limits::PANEL_COLUMNS};
 use zipsplat_tests::reference::cluster::panels::panels;

@@ -1,11 +1,8 @@
-//! Activations of Gaussians beyond the catalog: goldens, quaternions, very many, scene scales.
-
 use crate::case::*;
 use zipsplat::kernels::limits::GROUP_FOLD;
 use zipsplat_tests::reference::gaussians::activate::activate as reference;
 use zipsplat_verify::activate;
 
-/// Activates `raw` `[count, 11 + 3 (degree + 1)^2]` at a scene scale.
 fn activated(raw: &[f32], degree: u32, scale: f32) -> Vec<f32> {
     activate(device(), raw, degree, scale).unwrap()
 }

@@ -1,5 +1,3 @@
-//! Gradients of activations: groups with padding, clamps.
-
 use crate::case::*;
 use zipsplat::kernels::gaussians::ActivateBackward;
 use zipsplat_tests::{

@@ -1,6 +1,3 @@
-//! Convolutions against sums over all taps: sides, steps, borders, partial panels, epilogues, and
-//! bordered pictures read by address.
-
 use crate::case::*;
 use zipsplat::kernels::heads::{Convolution, ConvolutionUniform};
 use zipsplat::kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS};
@@ -107,7 +104,6 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     }
 }
 
-/// Adds a zero border.
 fn bordered(picture: &[f64], [width, channels]: [usize; 2], padding: usize) -> Vec<f32> {
     let line = (width + 2 * padding) * channels;
     let mut out = vec![0.0; padding * line];

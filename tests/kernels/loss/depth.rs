@@ -1,5 +1,3 @@
-//! The depth loss in parts, and its reference against finite differences.
-
 use crate::case::*;
 use zipsplat::{
     refine::DepthKind,

@@ -1,5 +1,3 @@
-//! Losses and their gradients: goldens, random pictures of many sizes, other channels than RGB.
-
 use crate::case::*;
 use zipsplat::stages::FrameShape;
 use zipsplat::stages::loss::{Loss, record_loss, record_masked, record_masked_gradient};
@@ -29,7 +27,6 @@ impl Pictures {
         Self { masks, ..self }
     }
 
-    /// Returns the loss of every picture and the gradient, in frames of `channels`.
     fn compared(&self, limits: &Limits, loss: Loss, channels: usize, scale: f32) -> [Vec<f32>; 2] {
         let mut case = plan_within(limits);
         let pixel = |rgb: &[f32]| rgb.iter().copied().chain([7.0; 8]).take(channels).collect::<Vec<_>>();

@@ -1,5 +1,3 @@
-//! Conversion of photos in parts.
-
 use crate::case::*;
 use zipsplat::stages::loss::record_targets;
 

@@ -1,5 +1,3 @@
-//! Differences of features, and their gradient against finite differences.
-
 use crate::case::*;
 use zipsplat::kernels::lpips::Compare;
 use zipsplat_tests::reference::lpips::compare::compare;

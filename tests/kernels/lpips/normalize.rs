@@ -1,5 +1,3 @@
-//! Range of pictures and its gradient.
-
 use crate::case::*;
 use zipsplat::kernels::lpips::{Normalize, NormalizeBackward};
 use zipsplat_tests::reference::lpips::normalize as reference;

@@ -1,5 +1,3 @@
-//! Rows by index, exact.
-
 use crate::case::*;
 use zipsplat::{kernels::ops::GatherRows, ops};
 use zipsplat_tests::reference::ops::gather_rows::gather_rows;

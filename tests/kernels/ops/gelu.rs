@@ -1,5 +1,3 @@
-//! The derivative of GELU where it is exact.
-
 use crate::case::*;
 use zipsplat::kernels::ops::Gelu;
 use zipsplat_tests::{reference::ops::activation, reference::ops::gelu::gelu_backward};

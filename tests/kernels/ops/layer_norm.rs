@@ -1,5 +1,3 @@
-//! Layer normalization beyond the catalog: goldens, special tokens, strided rows.
-
 use crate::case::*;
 use zipsplat::ops::Norm;
 use zipsplat_tests::reference::ops::layer_norm::layer_norm;

@@ -1,5 +1,3 @@
-//! Linear layers beyond the catalog: saturation, and variants that change no bit.
-
 use crate::case::*;
 use zipsplat::ops::{
     Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Tile, Tiles, Units, Weights, pack_matrix,

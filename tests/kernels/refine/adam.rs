@@ -1,5 +1,3 @@
-//! Adam steps in parts, and at the ends of their ranges.
-
 use crate::case::*;
 use zipsplat::refine::{Adam, Rate, Space, record_adam};
 
@@ -7,7 +5,6 @@ const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
 const RATES: [f32; 2] = [0.02, 0.5]; // schedule, tensor
 const SPACES: [Space; 3] = [Space::Linear, Space::Log, Space::Logit];
 
-/// Returns values and moments after a step with each of `gradients`.
 fn stepped(
     limits: &Limits,
     rate: impl Into<Rate>,

@@ -1,5 +1,3 @@
-//! Anisotropy limits in parts.
-
 use crate::case::*;
 use zipsplat::refine::{Adam, record_anisotropy_limit};
 

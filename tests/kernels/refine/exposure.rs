@@ -1,5 +1,3 @@
-//! Exposures in parts, and the reference's gradients by differences.
-
 use crate::case::*;
 use zipsplat::{refine::Exposed, stages::FrameShape};
 use zipsplat_tests::reference::refine::exposure::{exposed, exposure_backward};

@@ -1,5 +1,3 @@
-//! Counts and lists of tiles against the host's.
-
 use crate::case::*;
 use zipsplat::kernels::render::{Intersect, TileCounts};
 

@@ -1,5 +1,3 @@
-//! Normals against eigenvectors of the covariances.
-
 use crate::case::*;
 use zipsplat::{kernels::render::Normals, stages::render::camera_rows};
 use zipsplat_tests::reference::render::normals;

@@ -1,5 +1,3 @@
-//! Projection against the goldens.
-
 use crate::case::*;
 use zipsplat::{kernels::render::Project, stages::render::camera_rows, types::NEAR};
 

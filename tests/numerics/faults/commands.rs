@@ -64,7 +64,6 @@ fn pictures_fail() {
     Case::new(&folder, RENDER).fails_everywhere();
 }
 
-/// Cause and remedy.
 const LOST: &[&str] = &["the Vulkan device was lost", "again"];
 
 struct Case {
@@ -101,7 +100,6 @@ impl Case {
         }
     }
 
-    /// First, middle and last.
     fn calls(&self, function: &str) -> Vec<u32> {
         self.faults.set(function, 0, 0);
         let (code, _, err) = zipsplat(&self.line);
@@ -128,7 +126,6 @@ impl Case {
         self.clear();
     }
 
-    /// Including hidden ones; pictures of a path are written one by one.
     fn written(&self) -> Vec<PathBuf> {
         let entries = |folder: &Path| -> Vec<PathBuf> {
             folder.read_dir().into_iter().flatten().map(|entry| entry.unwrap().path()).collect()

@@ -1,5 +1,3 @@
-//! Reproducible damaged copies of a file.
-
 use crate::below;
 use zipsplat_tests::prelude::*;
 

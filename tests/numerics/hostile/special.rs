@@ -60,7 +60,6 @@ fn pipes_and_devices_are_refused() {
             let path = folder.path().join(format!("{kind}{i}")).join(file);
             let error = refusal(name, read, path);
             assert!(matches!(error, Error::Argument { .. }), "{name}: {error}");
-            // Found by name; a pipe does not count.
             let said = error.to_string();
             assert!(
                 said.contains(&format!("found a {kind}, expected a regular file"))

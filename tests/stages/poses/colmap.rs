@@ -1,5 +1,3 @@
-//! COLMAP models, and point clouds.
-
 use super::{LENS, assert_format_error, assert_same_cameras, cameras, of, put_photos};
 use zipsplat::types::poses::{CaptureView, read_cloud, write_colmap, write_transforms};
 use zipsplat::types::{Distortion, Lens, quaternion_from_matrix};

@@ -1,5 +1,3 @@
-//! Photos are undistorted to their frame's pinhole.
-
 use serde_json::json;
 use zipsplat::types::poses::{CaptureView, write_frames};
 use zipsplat_tests::prelude::*;

@@ -42,7 +42,6 @@ fn assert_format_error(path: &Path, parts: &[&str]) {
     assert!(matches!(error, Error::Format { .. }), "{error}");
 }
 
-/// `change` edits transforms.json.
 fn capture(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, PathBuf) {
     let (cameras, names) = cameras();
     let folder = tempfile::tempdir().unwrap();
@@ -106,7 +105,6 @@ fn intrinsics_come_from_angles_frames_and_photos() {
         assert_eq!(found, centered);
         assert_eq!(frame.photo.as_deref().and_then(Path::file_name), Path::new(name).file_name());
     }
-    // Without extension, in the caller's order.
     let photos: Vec<PathBuf> = names[..5].iter().rev().map(|name| folder.path().join(name)).collect();
     let matched = poses.for_photos(&photos).unwrap();
     for (i, (found, truth)) in matched.iter().zip(truth[..5].iter().rev()).enumerate() {

@@ -1,5 +1,3 @@
-//! Refinements that are interrupted and continued.
-
 use super::*;
 use std::path::Path;
 use zipsplat::{
@@ -28,7 +26,6 @@ fn options(path: &Path) -> RefineOptions {
     }
 }
 
-/// Everything but times.
 fn same(a: &RefineResult, b: &RefineResult) -> bool {
     let of =
         |r: &RefineResult| (r.losses.clone(), r.holdout_psnr.clone(), r.sizes.clone(), r.best_step, r.training_psnr);
@@ -86,7 +83,6 @@ fn every_step_can_be_continued_bit_by_bit() {
     assert!(same(&until(usize::MAX, &options(&path)).unwrap(), &whole));
 }
 
-/// 7 cameras and photos, and a scene to refine.
 fn place() -> (Vec<Camera>, Vec<Image>, Scene) {
     let cameras = cameras(7);
     let (scene, photos) = photos(&cameras);

@@ -1,11 +1,8 @@
-//! Photos that are opened when needed.
-
 use super::*;
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use zipsplat::refine::Photos;
 
-/// Photos with a number of times that they may be opened.
 struct Opened<'a>(&'a [Image], &'a AtomicUsize);
 
 impl Photos for Opened<'_> {

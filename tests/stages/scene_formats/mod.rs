@@ -43,7 +43,6 @@ fn assert_within(name: &str, found: &[f32], truth: &[f32], bound: impl Fn(f32) -
     }
 }
 
-/// `bound` per entry.
 #[track_caller]
 fn assert_rotations(found: &[[f32; 4]], truth: &[[f32; 4]], bound: f64) {
     assert_eq!(found.len(), truth.len());

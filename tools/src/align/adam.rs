@@ -26,9 +26,6 @@ const LPIPS: f64 = 0.05;
 const EPS: f64 = 1e-8;
 
 /// Takes at most 200 steps, fewer if the mean loss of all photos stays, and returns the last poses.
-///
-/// # Errors
-/// As [`super::align`].
 pub fn align(
     renderer: &mut Renderer,
     photos: &[(&Image, &Camera)],
@@ -73,9 +70,6 @@ pub struct Descent {
 impl Descent {
     /// `truth` is the photo, `[height][width][rgb]`, at the camera's size. Descents of one arena
     /// share its memory.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if the renderer has no scene.
     pub fn new(renderer: &Renderer, arena: &Arena, truth: &[f32], camera: &Camera) -> Result<Self> {
         let scene =
             renderer.scene().ok_or_else(|| Error::argument("scene to align to", "none", "one that was loaded"))?;
@@ -85,9 +79,6 @@ impl Descent {
     }
 
     /// Moves the camera. Returns the loss before the step.
-    ///
-    /// # Errors
-    /// As [`Renderer::render`].
     pub fn step(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<f64> {
         let (loss, gradient) = self.gradient(renderer, lpips)?;
         self.camera.pose = self.adam.step(Adam::default(), &self.camera.pose, gradient, [RATE; 2]);
@@ -95,9 +86,6 @@ impl Descent {
     }
 
     /// Returns the loss and its gradient at (w, v) = 0, where the pose is pose o (exp(w^), v).
-    ///
-    /// # Errors
-    /// As [`Renderer::render`].
     pub fn gradient(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<(f64, [f64; 6])> {
         let frame = renderer.render(&[self.camera], &SEEN)?.remove(0);
         let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());

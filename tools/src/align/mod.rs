@@ -32,7 +32,6 @@ const TEXTURE: f64 = 0.02;
 /// Threshold of the robust loss, in 0..1, for occlusion.
 const LARGE: f64 = 0.01;
 const LEAST_SEEN: f64 = 1e-3;
-/// Shorter side of the coarsest picture.
 const SMALLEST: u32 = 20;
 /// Half the length of central differences, in pixels at distance 1.
 const DIFFERENCE: f64 = 0.5;
@@ -53,9 +52,6 @@ pub enum Method {
 impl Method {
     /// Aligns all photos' cameras: one after the other, or by Adam in step, which alone uses LPIPS
     /// and `arena`. `reach` gets the finished fraction before each step.
-    ///
-    /// # Errors
-    /// As [`align`].
     pub fn align(
         self,
         renderer: &mut Renderer,
@@ -105,9 +101,6 @@ pub enum Doubt {
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.
-///
-/// # Errors
-/// As [`Renderer::render`], and those of `check`.
 pub fn align(
     renderer: &mut Renderer,
     photo: &Image,

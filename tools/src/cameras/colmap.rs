@@ -81,7 +81,6 @@ pub struct ColmapOutput {
     /// The disk was full; COLMAP 3 reports that without failing.
     pub no_room: bool,
     pairs_follow: bool,
-    /// Last lines other than progress.
     last: Vec<String>,
 }
 

@@ -1,5 +1,3 @@
-//! Self-contained HTML reports.
-
 use base64::{Engine, engine::general_purpose::STANDARD};
 use zipsplat::{
     Result,

@@ -84,9 +84,6 @@ pub struct Capture {
 }
 
 impl Options {
-    /// # Errors
-    /// [`Error::Argument`] without views, for a side of 0 or beyond 4096 pixels, or an aspect ratio
-    /// beyond 8.
     pub fn validate(&self) -> Result<()> {
         if !(1..=1024).contains(&self.views) {
             return Err(Error::argument("views", self.views, "1 to 1024"));
@@ -108,9 +105,6 @@ impl Options {
 
 impl Setup {
     /// Builds places and paths until one passes the survey.
-    ///
-    /// # Errors
-    /// As [`Options::validate`] and `go_on`.
     pub fn new(seed: u64, options: &Options, photos: &Photos, go_on: GoOn<'_>) -> Result<Self> {
         options.validate()?;
         for place in 0..PLACES {
@@ -156,8 +150,6 @@ impl Setup {
         self.views.iter().map(pose).collect()
     }
 
-    /// # Errors
-    /// As `go_on`, called for every row of pixels.
     pub fn shoot(&self, photos: &Photos, go_on: GoOn<'_>) -> Result<Capture> {
         let Lens { width, height, focal } = self.lens;
         let frames = self.views.par_iter().map(|view| self.frame(*view, photos, go_on)).collect::<Result<Vec<_>>>()?;
@@ -201,9 +193,6 @@ impl Setup {
 
     /// Takes photos of a wide lens along the path, black outside its image circle, with points of
     /// the first photo's world in meters and the pixels that show them.
-    ///
-    /// # Errors
-    /// As `go_on`.
     pub fn shoot_wide(&self, lens: &WideLens, photos: &Photos, go_on: GoOn<'_>) -> Result<Vec<WidePhoto>> {
         let Intrinsics { width, height, fx, .. } = lens.0.intrinsics;
         let trace = |view: &View, x: u32, y: u32, (dx, dy): (f32, f32)| {

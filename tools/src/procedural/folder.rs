@@ -46,9 +46,6 @@ pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
 
 /// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z, 0 in the sky),
 /// `labels/000.png`, `transforms.json`, `points.ply` and `scene.json`. Removes surplus files.
-///
-/// # Errors
-/// [`Error::Io`].
 pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<()> {
     for sub in ["images", "depth", "labels"] {
         let path = folder.join(sub);
@@ -86,9 +83,6 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
 
 /// Replaces the photos and points of [`write_folder`] by those of a wide lens, and removes
 /// depth and labels.
-///
-/// # Errors
-/// [`Error::Io`].
 pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, photos: &[WidePhoto]) -> Result<()> {
     let names: Vec<String> = (0..photos.len()).map(photo).collect();
     photos.iter().zip(&names).try_for_each(|((image, _), name)| save_picture(&folder.join(name), image))?;

@@ -1,5 +1,3 @@
-//! Triangulated heights on a square grid.
-
 use glam::{Vec2, Vec3A, Vec3Swizzles};
 
 use super::slab::slab;

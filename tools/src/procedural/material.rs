@@ -1,5 +1,3 @@
-//! Random materials by surface role.
-
 use glam::{Vec3, Vec3A};
 
 use super::photos::Photos;

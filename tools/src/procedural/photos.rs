@@ -1,5 +1,3 @@
-//! Photo crops as textures.
-
 use std::{io::BufReader, path::Path};
 
 use glam::{Vec2, Vec3A};
@@ -44,10 +42,6 @@ struct Level {
 
 impl Photos {
     /// Reads the permissively licensed crops of a folder's `manifest.json`.
-    ///
-    /// # Errors
-    /// [`Error::Io`], [`Error::Format`]; the latter also without permissive crops, or for one that
-    /// is not square.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);

@@ -128,10 +128,6 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
 
 /// Writes the scenes of `seeds` in order, generated on all threads. A range to `u64::MAX` is marked
 /// endless. `written` gets the number of scenes after each batch and may stop the stream.
-///
-/// # Errors
-/// [`zipsplat::Error::Argument`] as the source for unusable options; those of the writer,
-/// `BrokenPipe` for a closed pipe; `Interrupted` if `written` stopped it.
 pub fn write(
     mut to: impl Write,
     seeds: Range<u64>,

@@ -1,5 +1,3 @@
-//! Wide lenses of procedural photos.
-
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use clap::ValueEnum;
@@ -7,7 +5,6 @@ use glam::{DVec3, Vec3A};
 use zipsplat::Result;
 use zipsplat::types::{Camera, Distortion, Intrinsics, Lens, LensView, Pose, poses::CaptureView};
 
-/// Camera model of wide photos.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum WideModel {
     /// 360-degree photos, twice as wide as high
@@ -23,8 +20,6 @@ const HALVINGS: usize = 40;
 pub struct WideLens(pub Lens);
 
 impl WideLens {
-    /// # Errors
-    /// [`zipsplat::Error::Argument`] for an equirectangular size that is not 2:1.
     pub fn new(model: WideModel, width: u32, height: u32) -> Result<Self> {
         if model == WideModel::Equirectangular {
             return Lens::equirectangular(width, height, "procedural photos").map(Self);
@@ -56,10 +51,6 @@ impl WideLens {
         (low <= FRAC_PI_2).then(|| ray.as_vec3a())
     }
 
-    /// Returns the frames of photos with these poses.
-    ///
-    /// # Errors
-    /// As [`Lens::views`].
     pub fn frames(&self, cameras: &[Camera], names: &[String]) -> Result<Vec<CaptureView>> {
         let views = self.0.views("procedural photo")?;
         let photos = cameras.iter().zip(names);

@@ -21,9 +21,6 @@ enum Rule {
 impl Protocol {
     /// Reads index files, or takes numbers of inputs. `gaps` override the paper's, one per number
     /// or one for all.
-    ///
-    /// # Errors
-    /// As [`Indices::open`]; [`Error::Argument`] for a wrong number of gaps.
     pub fn settings(self, views: &[u32], gaps: &[usize], files: &[impl AsRef<Path>]) -> Result<Vec<Setting>> {
         if !files.is_empty() {
             let setting = |file: &_| {
@@ -61,9 +58,6 @@ impl Setting {
     }
 
     /// Selects the frames of a scene; `None` if an index file lacks it.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for too few frames, or indices out of range.
     pub fn choose(&self, scene: &str, poses: Capture, targets: usize) -> Result<Option<Choice>> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         let gap = match &self.rule {

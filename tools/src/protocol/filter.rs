@@ -20,9 +20,6 @@ pub enum Filter {
 
 impl Filter {
     /// Center-crops a photo to an aspect ratio and resizes it.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a side of zero, or inconsistent photo fields.
     pub fn cropped(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => cropped(photo, width, height),
@@ -31,9 +28,6 @@ impl Filter {
     }
 
     /// Resizes a whole photo at the scale of [`Filter::cropped`].
-    ///
-    /// # Errors
-    /// As [`Filter::cropped`].
     pub fn whole(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => whole(photo, width, height),

@@ -19,9 +19,6 @@ pub struct Entry {
 }
 
 impl Indices {
-    /// # Errors
-    /// [`Error::Io`]; [`Error::Format`] for another format, no complete scene, or unequal input
-    /// counts.
     pub fn open(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
         let malformed = |reason: String| Error::format(path, None, reason);

@@ -22,9 +22,6 @@ pub struct Place {
 impl Protocol {
     /// Finds scenes in folders, each a scene or a folder of scenes. `images` overrides a scene's
     /// photo folder.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without scenes or for a duplicate name; [`Error::Io`].
     pub fn places(self, folders: &[PathBuf], images: Option<&Path>) -> Result<Vec<Place>> {
         let mut places: Vec<Place> = Vec::new();
         for folder in folders {
@@ -97,9 +94,6 @@ impl Protocol {
 
 impl Place {
     /// Reads cameras and photos. `distorted` ignores lens distortion.
-    ///
-    /// # Errors
-    /// As [`Capture::open`]; [`Error::Argument`] for an ignored fisheye distortion.
     pub fn read(&self, distorted: bool) -> Result<Capture> {
         let mut poses = Capture::open(&self.cameras)?;
         for frame in &mut poses.frames {

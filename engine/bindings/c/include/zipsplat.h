@@ -1,7 +1,7 @@
 /*
  * zipsplat.h: reconstructs scenes of 3D Gaussians from unposed photos and renders them, on Vulkan.
  *
- * Generated from engine/bindings/c/src. Copyright and license: see LICENSE (Apache-2.0).
+ * Copyright and license: see LICENSE (Apache-2.0).
  *
  *     zs_device           an open device
  *     zs_model            a network with its weights on the device
@@ -156,7 +156,6 @@ ZS_ENUM(zs_progress_action) {
 typedef struct zs_progress {
     // Size in the library's version.
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // Completed fraction of the call, 0 to 1.
     double fraction;
@@ -199,7 +198,6 @@ typedef struct zs_device zs_device;
 
 // Description of a device. Strings are truncated to fit.
 typedef struct zs_device_info {
-    // sizeof(zs_device_info).
     uint32_t struct_size;
     // Number for zs_device_options.device; 0 if adopted.
     uint32_t index;
@@ -221,7 +219,6 @@ typedef struct zs_device_info {
 
 // Options of zs_device_create.
 typedef struct zs_device_options {
-    // sizeof(zs_device_options).
     uint32_t struct_size;
     // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER, as
     // does ZIPSPLAT_VALIDATION=1 in the environment.
@@ -257,9 +254,7 @@ void zs_device_destroy(struct zs_device *device);
 // A pinhole camera with OpenCV axes: x right, y down, z forward. Lengths are in pixels, with
 // centers at +0.5.
 typedef struct zs_camera {
-    // sizeof(zs_camera).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // Width.
     uint32_t width;
@@ -302,7 +297,6 @@ typedef struct zs_image_buffer zs_image_buffer;
 
 // Masks of photos' files.
 typedef struct zs_masks {
-    // sizeof(zs_masks).
     uint32_t struct_size;
     // 0: pixels of 0 are ignored; 1: the others.
     uint32_t inverted;
@@ -314,7 +308,6 @@ typedef struct zs_masks {
 // A photo in the caller's memory, top row first. Alpha is dropped; f32 values are clamped to 0..1
 // and rounded to 8 bits.
 typedef struct zs_image {
-    // sizeof(zs_image).
     uint32_t struct_size;
     // Pixel format.
     zs_pixel_format format;
@@ -337,13 +330,11 @@ typedef struct zs_image {
 
 // Values of a camera's picture, in pixels or in cells of several pixels.
 typedef struct zs_pixel_values {
-    // sizeof(zs_pixel_values).
     uint32_t struct_size;
     // Cells per row.
     uint32_t width;
     // Rows of cells.
     uint32_t height;
-    // 0.
     uint32_t reserved;
     // height x width x channels. Cells with a NaN do not count.
     const float *values;
@@ -377,9 +368,7 @@ typedef struct zs_capture zs_capture;
 
 // A photo of a capture.
 typedef struct zs_capture_view {
-    // sizeof(zs_capture_view).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // Name in the file.
     const char *name;
@@ -391,9 +380,7 @@ typedef struct zs_capture_view {
 
 // Description of a capture.
 typedef struct zs_capture_info {
-    // sizeof(zs_capture_info).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // Number of photos.
     size_t view_count;
@@ -462,7 +449,6 @@ typedef struct zs_scene zs_scene;
 
 // Description of a scene.
 typedef struct zs_scene_info {
-    // sizeof(zs_scene_info).
     uint32_t struct_size;
     // World that the file states, or ZS_WORLD_AUTO.
     zs_world world;
@@ -474,7 +460,6 @@ typedef struct zs_scene_info {
 
 // Gaussians as one array per property.
 typedef struct zs_gaussians {
-    // sizeof(zs_gaussians).
     uint32_t struct_size;
     // Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     uint32_t sh_degree;
@@ -496,13 +481,11 @@ typedef struct zs_gaussians {
     const float *sh_coeffs;
     // 1 if the scene was optimized with opacity compensation, else 0; see zs_antialiasing.
     uint32_t antialiased;
-    // 0.
     uint32_t reserved;
 } zs_gaussians;
 
 // Options for reading scenes.
 typedef struct zs_scene_open_options {
-    // sizeof(zs_scene_open_options).
     uint32_t struct_size;
     // 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     uint32_t drop_invalid;
@@ -512,7 +495,6 @@ typedef struct zs_scene_open_options {
 
 // Options for writing scenes.
 typedef struct zs_scene_save_options {
-    // sizeof(zs_scene_save_options).
     uint32_t struct_size;
     // SPZ version: 2, 3 or 4 (zstd); 0 is 3.
     uint32_t spz_version;
@@ -605,7 +587,6 @@ ZS_ENUM(zs_edit_kind) {
 
 // An edit.
 typedef struct zs_edit {
-    // sizeof(zs_edit).
     uint32_t struct_size;
     // Kind.
     zs_edit_kind kind;
@@ -654,7 +635,6 @@ typedef struct zs_model zs_model;
 
 // Options of zs_model_load.
 typedef struct zs_model_options {
-    // sizeof(zs_model_options).
     uint32_t struct_size;
     // Number formats.
     zs_precision precision;
@@ -668,13 +648,11 @@ typedef struct zs_model_options {
     void *user_data;
     // 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
     uint32_t tokens;
-    // 0.
     uint32_t reserved;
 } zs_model_options;
 
 // Description of a model.
 typedef struct zs_model_info {
-    // sizeof(zs_model_info).
     uint32_t struct_size;
     // Native side of the square input.
     uint32_t image_size;
@@ -722,7 +700,6 @@ typedef struct zs_reconstruction zs_reconstruction;
 
 // Description of a reconstruction.
 typedef struct zs_reconstruction_info {
-    // sizeof(zs_reconstruction_info).
     uint32_t struct_size;
     // 1 if ZS_REFINE_TARGET_TOKENS is possible.
     uint32_t has_tokens;
@@ -740,13 +717,11 @@ typedef struct zs_reconstruction_info {
 
 // Estimated camera of a photo.
 typedef struct zs_camera_estimate {
-    // sizeof(zs_camera_estimate).
     uint32_t struct_size;
     // Number of patches that agree with the camera.
     uint32_t inliers;
     // Number of patches.
     uint32_t patches;
-    // 0.
     uint32_t reserved;
     // Camera of the whole photo in the scene's world; NULL without an estimate.
     const struct zs_camera *camera;
@@ -799,7 +774,6 @@ ZS_ENUM(zs_token_selection) {
 
 // Options of zs_reconstruct.
 typedef struct zs_reconstruct_options {
-    // sizeof(zs_reconstruct_options).
     uint32_t struct_size;
     // World of the scene.
     zs_world world;
@@ -831,7 +805,6 @@ typedef struct zs_reconstruct_options {
     // Whether to keep the backbone's features on the device, for zs_reconstruct_again and
     // zs_reconstruction_get_patch_tokens: 0 or 1.
     uint32_t keep_features;
-    // 0.
     uint32_t reserved;
 } zs_reconstruct_options;
 
@@ -870,7 +843,6 @@ typedef struct zs_depth_result zs_depth_result;
 
 // Options of zs_depth_model_load.
 typedef struct zs_depth_model_options {
-    // sizeof(zs_depth_model_options).
     uint32_t struct_size;
     // Number formats.
     zs_precision precision;
@@ -882,7 +854,6 @@ typedef struct zs_depth_model_options {
 
 // Description of a depth model.
 typedef struct zs_depth_model_info {
-    // sizeof(zs_depth_model_info).
     uint32_t struct_size;
     // 1 if it sees all photos at once and estimates cameras.
     uint32_t is_multi_view;
@@ -898,7 +869,6 @@ typedef struct zs_depth_model_info {
 
 // Options of zs_depth_predict.
 typedef struct zs_depth_options {
-    // sizeof(zs_depth_options).
     uint32_t struct_size;
     // Longer side of the network's input, for VGGT its width, 14 to 8192 pixels; 0 is 504, for
     // VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped
@@ -922,9 +892,7 @@ typedef struct zs_depth_options {
 
 // Description of a depth result.
 typedef struct zs_depth_result_info {
-    // sizeof(zs_depth_result_info).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // Number of photos.
     size_t view_count;
@@ -932,9 +900,7 @@ typedef struct zs_depth_result_info {
 
 // Depth of a photo. Arrays are `[height][width]`.
 typedef struct zs_depth_map {
-    // sizeof(zs_depth_map).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // Width.
     uint32_t width;
@@ -1047,7 +1013,6 @@ ZS_ENUM(zs_stop_reason) {
 
 // Options of a refinement.
 typedef struct zs_refine_options {
-    // sizeof(zs_refine_options).
     uint32_t struct_size;
     // Optimizer steps; 0 uses `seconds`.
     uint32_t steps;
@@ -1088,13 +1053,11 @@ typedef struct zs_refine_options {
     zs_depth_loss depth_loss;
     // Initial weight of depth, which falls to a hundredth; 0 is the default of the kind.
     float depth_weight;
-    // 0.
     uint32_t reserved;
 } zs_refine_options;
 
 // Result of a refinement.
 typedef struct zs_refine_result {
-    // sizeof(zs_refine_result).
     uint32_t struct_size;
     // Reason for the end.
     zs_stop_reason stop_reason;
@@ -1161,9 +1124,7 @@ typedef struct zs_renderer zs_renderer;
 
 // Output buffers of a picture; NULL skips one.
 typedef struct zs_render_buffers {
-    // sizeof(zs_render_buffers).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // As zs_image.stride; padding stays unchanged.
     int64_t stride;
@@ -1179,7 +1140,6 @@ typedef struct zs_render_buffers {
 
 // Options of pictures.
 typedef struct zs_render_options {
-    // sizeof(zs_render_options).
     uint32_t struct_size;
     // 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged. Color includes the
     // background's part; on black it is premultiplied.
@@ -1228,9 +1188,7 @@ zs_status zs_render(const struct zs_renderer *renderer,
 
 // Gradients of a loss with respect to one camera's outputs, in contiguous rows. NULL is 0.
 typedef struct zs_grad_outputs {
-    // sizeof(zs_grad_outputs).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // height x width x 3.
     const float *color;
@@ -1242,9 +1200,7 @@ typedef struct zs_grad_outputs {
 
 // Output buffers of gradients, which are overwritten; NULL skips one.
 typedef struct zs_gradients {
-    // sizeof(zs_gradients).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // N x 3.
     float *means;
@@ -1343,7 +1299,6 @@ typedef void (*zs_queue_lock)(void *user_data);
 
 // Borrowed Vulkan handles, never destroyed.
 typedef struct zs_vulkan_device {
-    // sizeof(zs_vulkan_device).
     uint32_t struct_size;
     // Family of `queue`, with compute support.
     uint32_t queue_family;
@@ -1366,7 +1321,6 @@ typedef struct zs_vulkan_device {
     void *user_data;
     // 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_FP32.
     uint32_t optional_features_enabled;
-    // 0.
     uint32_t reserved;
     // As zs_device_options.cache_dir.
     const char *cache_dir;
@@ -1383,9 +1337,7 @@ typedef struct zs_semaphore_point {
 // A caller's image or buffer as a copy destination. Handles are cast to uint64_t and must outlive
 // the signals or, without signals, the renderer.
 typedef struct zs_vulkan_target {
-    // sizeof(zs_vulkan_target).
     uint32_t struct_size;
-    // 0.
     uint32_t reserved;
     // VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the zs_pixel_format's format,
     // owned by the queue's family or shared. 0 for a buffer.

@@ -1,37 +1,28 @@
 //! Cameras.
 
-use super::pointers::Versioned;
+use super::{
+    pointers::{Versioned, read_array},
+    status::Failure,
+};
 use glam::{DMat3, DVec3};
-use zipsplat::{Camera, Error, Intrinsics, Pose, Result};
+use zipsplat::{Camera, Intrinsics, Pose};
 
-/// A pinhole camera with OpenCV axes: x right, y down, z forward. Lengths are in pixels, with
-/// centers at +0.5.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera {
-    /// sizeof(zs_camera).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Width.
     pub width: u32,
-    /// Height.
     pub height: u32,
-    /// Horizontal focal length.
     pub fx: f64,
-    /// Vertical focal length.
     pub fy: f64,
-    /// Principal point, from the left edge.
     pub cx: f64,
-    /// Principal point, from the top edge.
     pub cy: f64,
-    /// Camera-to-world rotation, row-major; columns right, down, forward.
     pub rotation: [f64; 9],
-    /// Camera center.
     pub translation: [f64; 3],
 }
 
-versioned!(zs_camera);
+versioned!(zs_camera { reserved });
 
 impl From<&Camera> for zs_camera {
     fn from(camera: &Camera) -> Self {
@@ -41,14 +32,18 @@ impl From<&Camera> for zs_camera {
     }
 }
 
-impl zs_camera {
-    pub(super) fn camera(&self) -> Result<Camera> {
-        let Self { reserved, width, height, fx, fy, cx, cy, .. } = *self;
-        if reserved != 0 {
-            return Err(Error::argument("zs_camera, reserved", reserved, "0"));
-        }
-        let rotation = DMat3::from_cols_array(&self.rotation).transpose();
-        let pose = Pose { rotation, translation: DVec3::from_array(self.translation) };
-        Ok(Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose })
+impl From<&zs_camera> for Camera {
+    fn from(camera: &zs_camera) -> Self {
+        let zs_camera { width, height, fx, fy, cx, cy, .. } = *camera;
+        let rotation = DMat3::from_cols_array(&camera.rotation).transpose();
+        let pose = Pose { rotation, translation: DVec3::from_array(camera.translation) };
+        Self { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
     }
+}
+
+/// # Safety
+/// As [`read_array`].
+pub(super) unsafe fn read_cameras(cameras: *const zs_camera, count: usize) -> Result<Vec<Camera>, Failure> {
+    // SAFETY: the caller's promise.
+    Ok(unsafe { read_array(cameras, count, "cameras") }?.iter().map(Camera::from).collect())
 }

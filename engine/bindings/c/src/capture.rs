@@ -3,7 +3,10 @@
 use super::{
     camera::zs_camera,
     image::{zs_image_buffer, zs_masks},
-    pointers::{Versioned, borrow, describe, destroy, optional_text, produce, put, read_array, read_given, text},
+    pointers::{
+        Versioned, borrow, c_text, describe, destroy, element, optional_text, produce, put, read_array, read_given,
+        text,
+    },
     status::{Failure, guard, zs_status},
 };
 use std::{
@@ -12,11 +15,10 @@ use std::{
     ptr::null,
 };
 use zipsplat::{
-    Capture, Image,
+    Camera, Capture, Image,
     types::poses::{CaptureView, write_frames},
 };
 
-/// Posed photos.
 pub struct zs_capture {
     pub(super) capture: Capture,
     views: Vec<View>,
@@ -29,37 +31,26 @@ struct View {
     camera: zs_camera,
 }
 
-/// Description of a capture.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_capture_info {
-    /// sizeof(zs_capture_info).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Number of photos.
     pub view_count: usize,
-    /// Warnings about ignored data.
     pub warnings: *const c_char,
 }
 
-/// A photo of a capture.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_capture_view {
-    /// sizeof(zs_capture_view).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Name in the file.
     pub name: *const c_char,
-    /// Path of the photo; NULL if not found.
     pub path: *const c_char,
-    /// Undistorted pinhole camera.
     pub camera: *const zs_camera,
 }
 
-versioned!(zs_capture_info, zs_capture_view);
+versioned!(zs_capture_info { reserved }, zs_capture_view { reserved });
 
 impl From<Capture> for zs_capture {
     fn from(capture: Capture) -> Self {
@@ -73,19 +64,6 @@ impl From<Capture> for zs_capture {
     }
 }
 
-fn at<T>(views: &[T], index: usize) -> Result<&T, Failure> {
-    let expected = || format!("a number below {}", views.len());
-    views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))
-}
-
-fn c_text(text: &str) -> CString {
-    CString::new(text.replace('\0', " ")).expect("no NUL")
-}
-
-/// Opens a capture: a transforms.json (instant-ngp, nerfstudio), a COLMAP model folder, or a folder
-/// that contains either. World and scale stay the file's. Photos are read only for sizes that the
-/// file lacks. Photos of lenses wider than 110 degrees have several views, one after another and of
-/// one name.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
     // SAFETY: the caller's arguments.
@@ -94,7 +72,6 @@ pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut
     unsafe { produce(capture, open) }
 }
 
-/// Creates a capture from copies of pinhole cameras. Paths may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_create(
     views: *const zs_capture_view,
@@ -105,14 +82,12 @@ pub unsafe extern "C" fn zs_capture_create(
         // SAFETY: the caller's array.
         let views = unsafe { read_array(views, count, "views") }?;
         let view = |(i, view): (usize, &zs_capture_view)| {
-            if view.reserved != 0 {
-                return Err(Failure::argument(format!("view {i}, reserved"), view.reserved, "0"));
-            }
             // SAFETY: the caller's arguments.
             let (name, path, camera) = unsafe {
                 let (name, path) = (format!("name of view {i}"), format!("path of view {i}"));
-                (text(view.name, &name)?, optional_text(view.path, &path)?, read_given(view.camera)?.camera()?)
+                (text(view.name, &name)?, optional_text(view.path, &path)?, read_given(view.camera)?)
             };
+            let camera = Camera::from(&camera);
             camera.validate(&format!("camera {i}"))?;
             Ok(CaptureView { name: name.to_owned(), photo: path.map(Into::into), camera, lens: None })
         };
@@ -123,7 +98,6 @@ pub unsafe extern "C" fn zs_capture_create(
     unsafe { produce(capture, create) }
 }
 
-/// Writes cameras, names and lenses as a transforms.json (nerfstudio).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *const c_char) -> zs_status {
     guard(|| {
@@ -134,7 +108,6 @@ pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *cons
     })
 }
 
-/// Describes a capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_info(capture: *const zs_capture, info: *mut zs_capture_info) -> zs_status {
     let of = |zs_capture { views, warnings, .. }: &zs_capture| {
@@ -144,7 +117,6 @@ pub unsafe extern "C" fn zs_capture_get_info(capture: *const zs_capture, info: *
     unsafe { describe(capture, "capture", info, of) }
 }
 
-/// Returns photo `index`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_view(
     capture: *const zs_capture,
@@ -152,7 +124,7 @@ pub unsafe extern "C" fn zs_capture_get_view(
     view: *mut zs_capture_view,
 ) -> zs_status {
     let of = |capture: &zs_capture| {
-        let View { name, path, camera } = at(&capture.views, index)?;
+        let View { name, path, camera } = element(&capture.views, index)?;
         let path = path.as_ref().map_or(null(), |path| path.as_ptr());
         Ok(zs_capture_view { name: name.as_ptr(), path, camera, ..Versioned::new() })
     };
@@ -160,8 +132,6 @@ pub unsafe extern "C" fn zs_capture_get_view(
     unsafe { describe(capture, "capture", view, of) }
 }
 
-/// Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
-/// `index` is the number of photos. An ambiguous match is a ZS_ERROR_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_find(
     capture: *const zs_capture,
@@ -178,8 +148,6 @@ pub unsafe extern "C" fn zs_capture_find(
     })
 }
 
-/// Opens photo `index` undistorted, ignoring the EXIF orientation, from `path` or, if NULL, the
-/// capture's path.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open_image(
     capture: *const zs_capture,
@@ -191,7 +159,6 @@ pub unsafe extern "C" fn zs_capture_open_image(
     unsafe { produce(photo, || open(capture, index, path, |frame, path| frame.open(path))) }
 }
 
-/// As zs_capture_open_image, with the photo's mask.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open_masked_image(
     capture: *const zs_capture,
@@ -220,7 +187,7 @@ unsafe fn open(
 ) -> Result<zs_image_buffer, Failure> {
     // SAFETY: the caller's promise.
     let (capture, path) = unsafe { (borrow(capture, "capture")?, optional_text(path, "path")?) };
-    let frame = at(&capture.capture.frames, index)?;
+    let frame = element(&capture.capture.frames, index)?;
     let path = path.map(Path::new).or(frame.photo.as_deref());
     let path = path.ok_or_else(|| {
         Failure::argument(format!("photo {}", frame.name), "none", "one where the capture says it is, or a path")
@@ -228,7 +195,6 @@ unsafe fn open(
     Ok(zs_image_buffer { image: open(frame, path)? })
 }
 
-/// Destroys a capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_destroy(capture: *mut zs_capture) {
     // SAFETY: NULL or given up by the caller.

@@ -5,7 +5,9 @@ use super::{
     device::zs_device,
     image::zs_image,
     model::{zs_precision, zs_precision_value},
-    pointers::{Versioned, borrow, describe, destroy, produce, read_array, read_versioned, text},
+    pointers::{
+        Versioned, borrow, c_text, describe, destroy, element, flag, meaning, produce, read_array, read_versioned, text,
+    },
     progress::{Reporter, zs_progress_callback},
     reconstruct::check_view_count,
     scene::zs_scene,
@@ -26,14 +28,12 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// A Depth Anything 3 or VGGT network on a device.
 pub struct zs_depth_model {
     model: DepthModel,
     precision: Precision,
     warnings: CString,
 }
 
-/// Depth and cameras of photos.
 pub struct zs_depth_result {
     depths: DepthPrediction,
     images: Vec<Image>,
@@ -43,116 +43,78 @@ pub struct zs_depth_result {
     c_cameras: Vec<Option<[zs_camera; 2]>>,
 }
 
-/// Source of estimated cameras.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_camera_source {
-    /// The camera decoder.
     ZS_CAMERA_SOURCE_DECODER = 0,
-    /// The ray maps, principal point included. Inconsistent rays give no camera.
     ZS_CAMERA_SOURCE_RAYS = 1,
 }
 
 pub(super) type zs_camera_source_value = i32;
 
-/// Options of zs_depth_model_load.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_model_options {
-    /// sizeof(zs_depth_model_options).
     pub struct_size: u32,
-    /// Number formats.
     pub precision: zs_precision_value,
-    /// Progress callback.
     pub progress: zs_progress_callback,
-    /// Argument of `progress`.
     pub user_data: *mut c_void,
 }
 
-/// Description of a depth model.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_model_info {
-    /// sizeof(zs_depth_model_info).
     pub struct_size: u32,
-    /// 1 if it sees all photos at once and estimates cameras.
     pub is_multi_view: u32,
-    /// Patch side, which divides the sides of maps.
     pub patch_size: u32,
-    /// Number formats in use.
     pub precision: zs_precision_value,
-    /// Device memory of the weights.
     pub weight_bytes: u64,
-    /// Unusable GPUs and failed kernels.
     pub warnings: *const c_char,
 }
 
-/// Options of zs_depth_predict.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_options {
-    /// sizeof(zs_depth_options).
     pub struct_size: u32,
-    /// Longer side of the network's input, for VGGT its width, 14 to 8192 pixels; 0 is 504, for
-    /// VGGT 518. Each side is rounded to a multiple of 14. Photos of different shapes are cropped
-    /// to their common center.
     pub input_size: u32,
-    /// Source of estimated cameras.
     pub camera_source: zs_camera_source_value,
-    /// 1 estimates a focal length per photo, 0 a shared one for photos of equal size
-    /// (confidence-weighted median).
     pub per_view_focal: u32,
-    /// 0 or the number of photos.
     pub camera_count: usize,
-    /// Known cameras of the whole photos, for multi-view networks. They set the depth scale and are
-    /// returned unchanged.
     pub cameras: *const zs_camera,
-    /// Progress callback.
     pub progress: zs_progress_callback,
-    /// Argument of `progress`.
     pub user_data: *mut c_void,
 }
 
-/// Description of a depth result.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_result_info {
-    /// sizeof(zs_depth_result_info).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Number of photos.
     pub view_count: usize,
 }
 
-/// Depth of a photo. Arrays are `[height][width]`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_map {
-    /// sizeof(zs_depth_map).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// Width.
     pub width: u32,
-    /// Height.
     pub height: u32,
-    /// Distance along the camera's axis, in the cameras' scale, which all views share.
     pub depth: *const f32,
-    /// Confidence, at least 1; NULL from single-view networks.
     pub confidence: *const f32,
-    /// Sky score, at least 0, above 0.3 for sky; NULL from multi-view networks.
     pub sky: *const f32,
-    /// Camera of the map in the common world; NULL if unknown.
     pub camera: *const zs_camera,
-    /// Camera of the whole photo; NULL if unknown.
     pub image_camera: *const zs_camera,
 }
 
-versioned!(zs_depth_model_options, zs_depth_model_info, zs_depth_options, zs_depth_result_info, zs_depth_map);
+versioned!(
+    zs_depth_model_options,
+    zs_depth_model_info,
+    zs_depth_options,
+    zs_depth_result_info { reserved },
+    zs_depth_map { reserved }
+);
 
-/// Loads Depth Anything 3 or VGGT: a released model.safetensors at `path`, or random weights for
-/// "seeded:NAME", such as "seeded:da3-small".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_load(
     device: *const zs_device,
@@ -169,15 +131,13 @@ pub unsafe extern "C" fn zs_depth_model_load(
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |fraction| reporter.fraction("weights", fraction);
         let model = DepthModel::from_checkpoint(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;
-        let warnings = [device.gpu.passed_over(), &chosen.warnings].concat().join("\n");
-        let warnings = CString::new(warnings).unwrap_or_default();
-        Ok(zs_depth_model { model, precision: chosen.precision, warnings })
+        let warnings = [device.gpu.passed_over(), &chosen.warnings].concat();
+        Ok(zs_depth_model { model, precision: chosen.precision, warnings: c_text(&warnings.join("\n")) })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(model, load) }
 }
 
-/// Describes a depth model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_get_info(
     model: *const zs_depth_model,
@@ -197,15 +157,12 @@ pub unsafe extern "C" fn zs_depth_model_get_info(
     unsafe { describe(model, "model", info, of) }
 }
 
-/// Destroys a depth model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(model) }
 }
 
-/// Estimates depth of 1 to ZS_MAX_VIEWS photos of one place. Multi-view networks also estimate
-/// cameras, relative to one of them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_predict(
     model: *const zs_depth_model,
@@ -218,7 +175,8 @@ pub unsafe extern "C" fn zs_depth_predict(
         // SAFETY: the caller's arguments.
         let (zs_depth_model { model, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         check_view_count(image_count)?;
-        let by_rays = options.by_rays()?;
+        let by_rays = meaning("camera_source", options.camera_source, "zs_camera_source", [false, true])?;
+        let shares_focal = !flag("per_view_focal", options.per_view_focal)?;
         // SAFETY: the caller's arrays.
         let (images, known) = unsafe {
             (read_array(images, image_count, "images")?, read_array(options.cameras, options.camera_count, "cameras")?)
@@ -226,7 +184,7 @@ pub unsafe extern "C" fn zs_depth_predict(
         if !known.is_empty() && known.len() != images.len() {
             return Err(Failure::argument("number of cameras", known.len(), format!("0 or {image_count}")));
         }
-        let known: Vec<Camera> = known.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let known: Vec<Camera> = known.iter().map(Camera::from).collect();
         // SAFETY: the caller's pixels.
         let photo = |i: usize| unsafe { images[i].image(&format!("image {i}")) };
         let input_size = Some(options.input_size).filter(|size| *size > 0);
@@ -246,7 +204,7 @@ pub unsafe extern "C" fn zs_depth_predict(
                 known_cameras.into_iter().map(Some).collect()
             }
             None if !model.architecture().multi_view() => vec![None; images.len()],
-            None => found_cameras(&depths, &views, by_rays, options.per_view_focal == 0)?,
+            None => found_cameras(&depths, &views, by_rays, shares_focal)?,
         };
         let pair = |(camera, view): (&Option<Camera>, &View)| {
             let camera = camera.as_ref()?;
@@ -262,7 +220,6 @@ pub unsafe extern "C" fn zs_depth_predict(
     unsafe { produce(depths, find) }
 }
 
-/// Describes a depth result.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_result_get_info(
     depths: *const zs_depth_result,
@@ -274,7 +231,6 @@ pub unsafe extern "C" fn zs_depth_result_get_info(
     unsafe { describe(depths, "depths", info, of) }
 }
 
-/// Returns the map of photo `index`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_result_get_map(
     depths: *const zs_depth_result,
@@ -282,11 +238,9 @@ pub unsafe extern "C" fn zs_depth_result_get_map(
     map: *mut zs_depth_map,
 ) -> zs_status {
     let of = |zs_depth_result { depths, c_cameras, .. }: &zs_depth_result| {
-        let expected = || format!("a number below {}", depths.views.len());
-        let found = depths.views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
         let values = |values: &Option<Vec<f32>>| values.as_ref().map_or(null(), |values| values.as_ptr());
         let camera = |which: usize| c_cameras[index].as_ref().map_or(null(), |cameras| &raw const cameras[which]);
-        let DepthMap { depth, confidence, sky, .. } = found;
+        let DepthMap { depth, confidence, sky, .. } = element(&depths.views, index)?;
         Ok(zs_depth_map {
             width: depths.width,
             height: depths.height,
@@ -302,8 +256,6 @@ pub unsafe extern "C" fn zs_depth_result_get_map(
     unsafe { describe(depths, "depths", map, of) }
 }
 
-/// Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
-/// Patches of 14 x 14 pixels keep their `max_gaussians_per_patch` most visible ones; 0 keeps all.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_result_to_scene(
     depths: *const zs_depth_result,
@@ -330,24 +282,10 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
     unsafe { produce(scene, make) }
 }
 
-/// Destroys a depth result.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_result_destroy(depths: *mut zs_depth_result) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(depths) }
-}
-
-impl zs_depth_options {
-    fn by_rays(&self) -> Result<bool, Failure> {
-        if self.per_view_focal > 1 {
-            return Err(Failure::argument("per_view_focal", self.per_view_focal, "0 or 1"));
-        }
-        match self.camera_source {
-            0 => Ok(false),
-            1 => Ok(true),
-            other => Err(Failure::argument("camera_source", other, "a zs_camera_source")),
-        }
-    }
 }
 
 fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {

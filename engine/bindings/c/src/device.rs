@@ -7,74 +7,49 @@ use super::{
 use std::{ffi::c_char, path::PathBuf};
 use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, cache_dir, list_devices};
 
-/// An open Vulkan device.
 pub struct zs_device {
     pub(super) gpu: Device,
     pub(super) adopted: bool,
 }
 
-/// Kinds of devices.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_device_kind {
-    /// Virtual or unknown.
     ZS_DEVICE_OTHER = 0,
-    /// Discrete GPU.
     ZS_DEVICE_DISCRETE = 1,
-    /// Integrated GPU.
     ZS_DEVICE_INTEGRATED = 2,
-    /// CPU (lavapipe).
     ZS_DEVICE_CPU = 3,
 }
 
-/// Description of a device. Strings are truncated to fit.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_device_info {
-    /// sizeof(zs_device_info).
     pub struct_size: u32,
-    /// Number for zs_device_options.device; 0 if adopted.
     pub index: u32,
-    /// 1 if the engine can use the device.
     pub usable: u32,
-    /// Kind.
     pub kind: zs_device_kind_value,
-    /// Device-local memory.
     pub memory_bytes: u64,
-    /// Name.
     pub name: [c_char; 256],
-    /// Driver name and version.
     pub driver: [c_char; 256],
-    /// Missing requirements; "" if usable.
     pub unusable_reason: [c_char; 512],
-    /// UUID as 32 hexadecimal digits, as in nvidia-smi.
     pub uuid: [c_char; 40],
 }
 
 /// Plain integer of a structure's field, which may hold invalid values.
 pub(super) type zs_device_kind_value = i32;
 
-/// Options of zs_device_create.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_device_options {
-    /// sizeof(zs_device_options).
     pub struct_size: u32,
-    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER, as
-    /// does ZIPSPLAT_VALIDATION=1 in the environment.
     pub validation: u32,
-    /// Device memory budget, checked before submission; 0 is unlimited.
     pub max_memory_bytes: u64,
-    /// Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
-    /// the best device.
     pub device: *const c_char,
-    /// Cache folder; "" disables caching. NULL is the default (see Cache).
     pub cache_dir: *const c_char,
 }
 
 versioned!(zs_device_info, zs_device_options);
 
-/// Counts Vulkan devices, usable or not.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_count(count: *mut usize) -> zs_status {
     guard(|| {
@@ -86,7 +61,6 @@ pub unsafe extern "C" fn zs_device_count(count: *mut usize) -> zs_status {
     })
 }
 
-/// Describes device `index`, less than zs_device_count.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_get(index: usize, info: *mut zs_device_info) -> zs_status {
     guard(|| {
@@ -99,7 +73,6 @@ pub unsafe extern "C" fn zs_device_get(index: usize, info: *mut zs_device_info) 
     })
 }
 
-/// Opens a device with its own instance and queue.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_create(options: *const zs_device_options, device: *mut *mut zs_device) -> zs_status {
     let open = || {
@@ -118,7 +91,6 @@ pub unsafe extern "C" fn zs_device_create(options: *const zs_device_options, dev
     unsafe { produce(device, open) }
 }
 
-/// Describes an open device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_get_info(device: *const zs_device, info: *mut zs_device_info) -> zs_status {
     guard(|| {
@@ -130,7 +102,6 @@ pub unsafe extern "C" fn zs_device_get_info(device: *const zs_device, info: *mut
     })
 }
 
-/// Destroys a device, which closes with its last model and renderer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_destroy(device: *mut zs_device) {
     // SAFETY: NULL or given up by the caller.

@@ -1,59 +1,39 @@
 //! Edits of scenes.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     pointers::{array, borrow, produce, read_array},
     scene::zs_scene,
     status::{Failure, zs_status},
 };
-use zipsplat::{Camera, Edit, Edited, Scene};
+use zipsplat::{Edit, Edited, Scene};
 
-/// Kind of an edit, with its numbers. Lengths are in world units.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_edit_kind {
-    /// Keeps centers in a box: lower corner x, y, z, upper corner x, y, z.
     ZS_EDIT_CROP_BOX = 0,
-    /// Keeps centers in a sphere: center x, y, z, radius.
     ZS_EDIT_CROP_SPHERE = 1,
-    /// Moves the scene: x, y, z.
     ZS_EDIT_TRANSLATE = 2,
-    /// Rotates about the origin: degrees about x, then y, then z.
     ZS_EDIT_ROTATE = 3,
-    /// Scales about the origin: factor.
     ZS_EDIT_SCALE = 4,
-    /// Rotates about the origin: the cameras' mean up becomes -y.
     ZS_EDIT_LEVEL = 5,
-    /// Drops smaller opacities: opacity.
     ZS_EDIT_MIN_OPACITY = 6,
-    /// Drops larger Gaussians: largest standard deviation.
     ZS_EDIT_MAX_SIZE = 7,
-    /// Drops isolated Gaussians: least number of others, radius.
     ZS_EDIT_MIN_NEIGHBORS = 8,
-    /// Drops Gaussians whose center few cameras' pictures contain: least number of cameras.
     ZS_EDIT_MIN_VIEWS = 9,
-    /// Drops floaters: faint or isolated Gaussians, with cameras also those far outside their
-    /// pictures.
     ZS_EDIT_CLEAN = 10,
-    /// Lowers the degree of spherical harmonics: degree.
     ZS_EDIT_SH_DEGREE = 11,
-    /// Merges similar neighbors: number of Gaussians left, or a fraction below 1.
     ZS_EDIT_DECIMATE = 12,
-    /// Sorts by opacity times the two largest scales, largest first.
     ZS_EDIT_SORT = 13,
 }
 
 pub(super) type zs_edit_kind_value = i32;
 
-/// An edit.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_edit {
-    /// sizeof(zs_edit).
     pub struct_size: u32,
-    /// Kind.
     pub kind: zs_edit_kind_value,
-    /// Numbers of the kind; the others are 0.
     pub numbers: [f64; 6],
 }
 
@@ -72,12 +52,6 @@ impl zs_edit {
     }
 }
 
-/// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in
-/// order. `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN;
-/// edits that move the scene move them, too. `gaussian_counts` is NULL or gets the number of
-/// Gaussians after each edit. `sources` is NULL or gets, for each Gaussian of the result, the
-/// index of the one that it was among those of `scenes` together; of several merged, the most
-/// visible. It needs room for all of them. Edits that leave none fail.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_edit(
     scenes: *const *const zs_scene,
@@ -94,7 +68,7 @@ pub unsafe extern "C" fn zs_scene_edit(
         // SAFETY: the caller's arrays.
         let (handles, edits, cameras) = unsafe {
             let handles = array(scenes, scene_count, "scenes")?;
-            (handles, read_array(edits, edit_count, "edits")?, read_array(cameras, camera_count, "cameras")?)
+            (handles, read_array(edits, edit_count, "edits")?, read_cameras(cameras, camera_count)?)
         };
         // SAFETY: the caller's objects.
         let scenes = handles.iter().map(|handle| unsafe { borrow(*handle, "scene") });
@@ -103,7 +77,6 @@ pub unsafe extern "C" fn zs_scene_edit(
             return Err(Failure::argument("number of scenes", 0, "1 or more"));
         };
         let edits = edits.iter().map(zs_edit::edit).collect::<Result<Vec<Edit>, _>>()?;
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
         }

@@ -1,7 +1,7 @@
 //! Features: values of any number of channels, held by Gaussians or tokens.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     image::zs_pixel_values,
     pointers::{array, array_mut, borrow, read_array},
     renderer::zs_renderer,
@@ -9,16 +9,10 @@ use super::{
     status::{Failure, guard, zs_status},
 };
 use zipsplat::{
-    Camera, Scene,
+    Scene,
     features::{FeatureRenderer, Features, PixelValues},
 };
 
-/// Lifts pixel values of `count` cameras, in the scene's world, to features: means over all pixels,
-/// weighted by the blending weights of `group` consecutive Gaussians, such as 1 or those of a
-/// token. `group` divides their number N.
-///
-/// `features` gets N / group x channels values, 0 for rows that no pixel shows; `weights`, unless
-/// NULL, N / group sums of blending weights in pixels. Both are written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_lift_features(
     renderer: *const zs_renderer,
@@ -33,10 +27,10 @@ pub unsafe extern "C" fn zs_lift_features(
 ) -> zs_status {
     guard(|| {
         // SAFETY: the caller's arguments.
-        let (renderer, scene, values) =
-            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, read_array(values, count, "values")?) };
-        // SAFETY: the caller's arguments.
-        let cameras = unsafe { checked(cameras, count) }?;
+        let (renderer, scene, values, cameras) = unsafe {
+            let (renderer, scene) = (borrow(renderer, "renderer")?, borrow(scene, "scene")?);
+            (renderer, scene, read_array(values, count, "values")?, read_cameras(cameras, count)?)
+        };
         let plane = |(i, given): (usize, &zs_pixel_values)| {
             let len = (given.width as usize).saturating_mul(given.height as usize).saturating_mul(channels);
             // SAFETY: the caller's memory, as large as the structure says.
@@ -59,9 +53,6 @@ pub unsafe extern "C" fn zs_lift_features(
     })
 }
 
-/// Draws features, N / group x channels values as of zs_lift_features, as pictures of `count`
-/// cameras: height x width x channels blended values each, one after the other, 0 where nothing is.
-/// `pictures` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_features(
     renderer: *const zs_renderer,
@@ -76,7 +67,7 @@ pub unsafe extern "C" fn zs_render_features(
     guard(|| {
         // SAFETY: the caller's arguments.
         let (renderer, scene, cameras) =
-            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, checked(cameras, count)?) };
+            unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?, read_cameras(cameras, count)?) };
         let scene: &Scene = &scene.scene;
         let len = (scene.len() / group.max(1)).saturating_mul(channels);
         // SAFETY: the caller's memory, as long as documented.
@@ -93,14 +84,6 @@ pub unsafe extern "C" fn zs_render_features(
         }
         Ok(())
     })
-}
-
-/// # Safety
-/// As [`read_array`].
-unsafe fn checked(cameras: *const zs_camera, count: usize) -> Result<Vec<Camera>, Failure> {
-    // SAFETY: the caller's promise.
-    let cameras = unsafe { read_array(cameras, count, "cameras") }?;
-    Ok(cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?)
 }
 
 fn with<T>(

@@ -1,7 +1,7 @@
 //! Gradients of pictures with respect to Gaussians and cameras.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     pointers::{array, array_mut, borrow, read_array, read_given, read_versioned},
     renderer::{zs_render_options, zs_renderer},
     scene::zs_scene,
@@ -12,54 +12,32 @@ use zipsplat::{
     stages::render::{Differentiator, HostGradients, Wanted},
 };
 
-/// Gradients of a loss with respect to one camera's outputs, in contiguous rows. NULL is 0.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_grad_outputs {
-    /// sizeof(zs_grad_outputs).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// height x width x 3.
     pub color: *const f32,
-    /// height x width.
     pub alpha: *const f32,
-    /// height x width.
     pub depth: *const f32,
 }
 
-/// Output buffers of gradients, which are overwritten; NULL skips one.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gradients {
-    /// sizeof(zs_gradients).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// N x 3.
     pub means: *mut f32,
-    /// N x 3.
     pub scales: *mut f32,
-    /// N x 4, of unnormalized rotations.
     pub quats: *mut f32,
-    /// N.
     pub opacities: *mut f32,
-    /// N x K x 3.
     pub sh_coeffs: *mut f32,
-    /// count x 10: w x, y, z, v x, y, z, fx, fy, cx, cy. The camera-to-world pose moves as pose o
-    /// (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     pub cameras: *mut f32,
-    /// count x N x 2: projected centers in pixels, at constant covariances.
     pub means2d: *mut f32,
 }
 
-versioned!(zs_grad_outputs, zs_gradients);
+versioned!(zs_grad_outputs { reserved }, zs_gradients { reserved });
 
-/// Backpropagates `grad_outputs` of `count` cameras. Color is that of ZS_PIXEL_RGB_F32 for any
-/// format in the options. Zero-valued coefficients also get gradients.
-///
-/// `scene` may differ from the renderer's, which keeps a second scene on the device. NULL is the
-/// renderer's, unless it is a reconstruction's. `gradients` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,
@@ -73,21 +51,17 @@ pub unsafe extern "C" fn zs_render_backward(
     guard(|| {
         // SAFETY: the caller's arguments.
         let (renderer, scene, cameras, grads, options, to) = unsafe {
-            let cameras = read_array(cameras, count, "cameras")?;
+            let cameras = read_cameras(cameras, count)?;
             let grads = read_array(grad_outputs, count, "grad_outputs")?;
             let renderer = borrow(renderer, "renderer")?;
             (renderer, scene.as_ref(), cameras, grads, read_versioned(options)?, read_given(gradients)?)
         };
-        if to.reserved != 0 {
-            return Err(Failure::argument("zs_gradients, reserved", to.reserved, "0"));
-        }
         let scene = match scene {
             Some(scene) => Some(scene.scene.clone()),
             None => renderer.scene().clone(),
         };
         let scene =
             scene.ok_or_else(|| Failure::argument("scene", "NULL", "one, as the renderer has none in memory"))?;
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let any = |field: fn(&zs_grad_outputs) -> *const f32| grads.iter().any(|grads| !field(grads).is_null());
         options.checked()?;
         let options = options.outputs(any(|g| g.color), any(|g| g.alpha), any(|g| g.depth))?.differentiable();
@@ -98,7 +72,7 @@ pub unsafe extern "C" fn zs_render_backward(
         for (i, (camera, grads)) in cameras.iter().zip(&grads).enumerate() {
             camera.validate(&format!("camera {i}"))?;
             // SAFETY: the caller's memory, as large as the camera's picture.
-            outputs.push(unsafe { grads.read(camera, i) }?);
+            outputs.push(unsafe { grads.read(camera) }?);
         }
         let any = [to.means, to.scales, to.quats, to.opacities, to.sh_coeffs].iter().any(|field| !field.is_null());
         let wanted = Wanted { scene: any, cameras: !to.cameras.is_null(), means2d: !to.means2d.is_null() };
@@ -113,10 +87,7 @@ pub unsafe extern "C" fn zs_render_backward(
 impl zs_grad_outputs {
     /// # Safety
     /// Non-NULL pointers have values for every pixel.
-    unsafe fn read(&self, camera: &Camera, i: usize) -> Result<RenderOutput, Failure> {
-        if self.reserved != 0 {
-            return Err(Failure::argument(format!("grad_outputs {i}, reserved"), self.reserved, "0"));
-        }
+    unsafe fn read(&self, camera: &Camera) -> Result<RenderOutput, Failure> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let pixels = width as usize * height as usize;
         let plane = |from: *const f32, values: usize, name: &str| -> Result<Option<Vec<f32>>, Failure> {

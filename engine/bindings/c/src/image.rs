@@ -1,7 +1,7 @@
 //! Images.
 
 use super::{
-    pointers::{Versioned, array, describe, destroy, optional_text, produce, read_given, text},
+    pointers::{Versioned, array, describe, destroy, flag, meaning, optional_text, produce, read_given, text},
     status::{Failure, guard, zs_status},
 };
 use std::ffi::{c_char, c_void};
@@ -10,19 +10,13 @@ use zipsplat::{
     types::{Image, MAX_DECODED_BYTES, MAX_SIDE, MaskSource, Masks},
 };
 
-/// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_pixel_format {
-    /// VK_FORMAT_R8G8B8A8_UNORM.
     ZS_PIXEL_RGBA8 = 0,
-    /// 3 bytes: red, green, blue.
     ZS_PIXEL_RGB8 = 1,
-    /// VK_FORMAT_B8G8R8A8_UNORM.
     ZS_PIXEL_BGRA8 = 2,
-    /// 3 f32: red, green, blue.
     ZS_PIXEL_RGB_F32 = 3,
-    /// VK_FORMAT_R32G32B32A32_SFLOAT.
     ZS_PIXEL_RGBA_F32 = 4,
 }
 
@@ -32,9 +26,8 @@ pub(super) type zs_pixel_format_value = i32;
 
 impl zs_pixel_format {
     pub(super) fn of(value: i32) -> Result<Self> {
-        let all = [ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32];
-        let found = all.into_iter().find(|format| *format as i32 == value);
-        found.ok_or_else(|| Error::argument("pixel format", value, "a zs_pixel_format"))
+        let all = [ZS_PIXEL_RGBA8, ZS_PIXEL_RGB8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32];
+        meaning("pixel format", value, "zs_pixel_format", all)
     }
 
     pub(super) fn bytes(self) -> usize {
@@ -51,62 +44,39 @@ impl zs_pixel_format {
     }
 }
 
-/// A photo in the caller's memory, top row first. Alpha is dropped; f32 values are clamped to 0..1
-/// and rounded to 8 bits.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_image {
-    /// sizeof(zs_image).
     pub struct_size: u32,
-    /// Pixel format.
     pub format: zs_pixel_format_value,
-    /// 1 to 32768.
     pub width: u32,
-    /// 1 to 32768.
     pub height: u32,
-    /// Bytes between rows: negative for bottom-up storage, 0 for contiguous rows.
     pub stride: i64,
-    /// First pixel of the top row, of any alignment.
     pub pixels: *const c_void,
-    /// Byte per pixel, top row first, or NULL: 0 ignores a pixel in reconstruction and refinement.
     pub mask: *const u8,
-    /// Bytes between rows of the mask, as `stride`.
     pub mask_stride: i64,
-    /// height x width, for zs_refine_options.depth_loss: known depth along the camera's z axis, 0
-    /// if unknown; or NULL.
     pub depth: *const f32,
 }
 
-/// Masks of photos' files.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_masks {
-    /// sizeof(zs_masks).
     pub struct_size: u32,
-    /// 0: pixels of 0 are ignored; 1: the others.
     pub inverted: u32,
-    /// Folder of PNGs of the photos' sizes, without EXIF orientation, and names: 1.png or 1.jpg.png
-    /// for 1.jpg. NULL: the photos' alpha channels.
     pub folder: *const c_char,
 }
 
-/// Values of a camera's picture, in pixels or in cells of several pixels.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_pixel_values {
-    /// sizeof(zs_pixel_values).
     pub struct_size: u32,
-    /// Cells per row.
     pub width: u32,
-    /// Rows of cells.
     pub height: u32,
-    /// 0.
     pub reserved: u32,
-    /// height x width x channels. Cells with a NaN do not count.
     pub values: *const f32,
 }
 
-versioned!(zs_image, zs_masks, zs_pixel_values);
+versioned!(zs_image, zs_masks, zs_pixel_values { reserved });
 
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
@@ -114,13 +84,10 @@ unsafe impl Sync for zs_image {}
 /// Also the limit of decoded files.
 const MAX_PIXELS: u64 = MAX_DECODED_BYTES / 3;
 
-/// A decoded photo.
 pub struct zs_image_buffer {
     pub(super) image: Image,
 }
 
-/// Opens a PNG, JPEG or WebP. Applies the EXIF orientation, drops alpha and keeps the high byte of
-/// 16-bit samples. For COLMAP cameras, which refer to unrotated pixels, use zs_capture_open_image.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_open(path: *const c_char, photo: *mut *mut zs_image_buffer) -> zs_status {
     // SAFETY: the caller's arguments.
@@ -129,7 +96,6 @@ pub unsafe extern "C" fn zs_image_buffer_open(path: *const c_char, photo: *mut *
     unsafe { produce(photo, open) }
 }
 
-/// As zs_image_buffer_open, with the photo's mask.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_open_masked(
     path: *const c_char,
@@ -144,7 +110,6 @@ pub unsafe extern "C" fn zs_image_buffer_open_masked(
     unsafe { produce(photo, open) }
 }
 
-/// As zs_image_buffer_open, from memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_from_memory(
     data: *const c_void,
@@ -159,7 +124,6 @@ pub unsafe extern "C" fn zs_image_buffer_from_memory(
     unsafe { produce(photo, decode) }
 }
 
-/// Returns the pixels, as ZS_PIXEL_RGB8, and the mask, if any.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_get_image(photo: *const zs_image_buffer, image: *mut zs_image) -> zs_status {
     let of = |photo: &zs_image_buffer| {
@@ -172,14 +136,12 @@ pub unsafe extern "C" fn zs_image_buffer_get_image(photo: *const zs_image_buffer
     unsafe { describe(photo, "photo", image, of) }
 }
 
-/// Destroys a photo.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_buffer_destroy(photo: *mut zs_image_buffer) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(photo) }
 }
 
-/// Writes an 8-bit RGB PNG.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const c_char) -> zs_status {
     guard(|| {
@@ -248,11 +210,8 @@ impl zs_masks {
             let masks = read_given(masks)?;
             (masks, optional_text(masks.folder, "folder")?)
         };
-        if masks.inverted > 1 {
-            return Err(Failure::argument("inverted", masks.inverted, "0 or 1"));
-        }
         let source = folder.map_or(MaskSource::Alpha, |folder| MaskSource::Folder(folder.into()));
-        Ok(Masks { source, inverted: masks.inverted == 1 })
+        Ok(Masks { source, inverted: flag("inverted", masks.inverted)? })
     }
 }
 

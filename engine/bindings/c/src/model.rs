@@ -2,7 +2,9 @@
 
 use super::{
     device::zs_device,
-    pointers::{Versioned, array, borrow, describe, destroy, optional_text, produce, read_versioned, text},
+    pointers::{
+        Versioned, array, borrow, c_text, describe, destroy, flag, optional_text, produce, read_versioned, text,
+    },
     progress::{Reporter, zs_progress_callback},
     status::{Failure, zs_status},
 };
@@ -14,7 +16,6 @@ use zipsplat::{
     Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::KernelChoice, weights::Checkpoint,
 };
 
-/// A network on a device.
 pub struct zs_model {
     pub(super) model: Model,
     pub(super) head: Option<Arc<FrozenHead>>,
@@ -23,68 +24,40 @@ pub struct zs_model {
     warnings: CString,
 }
 
-/// Options of zs_model_load.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_options {
-    /// sizeof(zs_model_options).
     pub struct_size: u32,
-    /// Number formats.
     pub precision: zs_precision_value,
-    /// Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
-    /// "da3b" or "da3l", and missing parameters, as in
-    /// "vits:out_layers=5,7,11:alt_start=5:rope_start=5".
     pub variant: *const c_char,
-    /// Progress callback.
     pub progress: zs_progress_callback,
-    /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
     pub tokens: u32,
-    /// 0.
     pub reserved: u32,
 }
 
-/// Description of a model.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_info {
-    /// sizeof(zs_model_info).
     pub struct_size: u32,
-    /// Native side of the square input.
     pub image_size: u32,
-    /// Patch side, which divides the sides of input images.
     pub patch_size: u32,
-    /// Gaussians per token; at ratio 1 every patch is a token.
     pub gaussians_per_token: u32,
-    /// Degree of spherical harmonics.
     pub sh_degree: u32,
-    /// Number formats in use.
     pub precision: zs_precision_value,
-    /// Device memory of the weights.
     pub weight_bytes: u64,
-    /// Unusable GPUs, kernels that failed their self-test, assumptions about the weights. Failed
-    /// kernels can reduce ZS_PRECISION_AUTO to ZS_PRECISION_FP32.
     pub warnings: *const c_char,
 }
 
-versioned!(zs_model_options, zs_model_info);
+versioned!(zs_model_options { reserved }, zs_model_info);
 
-/// Number formats of the network. Geometry is f32. Unsupported precisions and those that fail the
-/// self-test are rejected.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_precision {
-    /// ZS_PRECISION_FP16 on a GPU with matrix units that pass the self-test, else
-    /// ZS_PRECISION_FP32.
     ZS_PRECISION_AUTO = 0,
-    /// f32 throughout.
     ZS_PRECISION_FP32 = 1,
-    /// f16 matrix products, otherwise f32.
     ZS_PRECISION_FP16 = 2,
-    /// bf16 matrix products, otherwise f32.
     ZS_PRECISION_BF16 = 3,
-    /// 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FP16.
     ZS_PRECISION_INT8 = 4,
 }
 
@@ -111,8 +84,6 @@ impl From<Precision> for zs_precision {
 
 pub(super) type zs_precision_value = i32;
 
-/// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for "builtin"
-/// (ZS_ERROR_UNSUPPORTED in builds without one), or random weights for "seeded:VARIANT".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_load(
     device: *const zs_device,
@@ -132,7 +103,6 @@ pub unsafe extern "C" fn zs_model_load(
     unsafe { load(device, options, model, checkpoint) }
 }
 
-/// As zs_model_load, from memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_from_memory(
     device: *const zs_device,
@@ -159,7 +129,6 @@ fn builtin() -> Result<Checkpoint, Failure> {
     })
 }
 
-/// Describes a model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
     let of = |zs_model { model, precision, warnings, .. }: &zs_model| {
@@ -179,7 +148,6 @@ pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs
     unsafe { describe(model, "model", info, of) }
 }
 
-/// Destroys a model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_destroy(model: *mut zs_model) {
     // SAFETY: NULL or given up by the caller.
@@ -198,21 +166,15 @@ unsafe fn load(
         // SAFETY: the caller's objects.
         let (device, options) = unsafe { (borrow(device, "device")?, read_versioned(options)?) };
         let chosen = KernelChoice::of(&device.gpu, zs_precision::wanted(options.precision)?)?;
-        if options.reserved != 0 {
-            return Err(Failure::argument("zs_model_options, reserved", options.reserved, "0"));
-        }
-        if options.tokens > 1 {
-            return Err(Failure::argument("tokens", options.tokens, "0 or 1"));
-        }
+        let has_tokens = flag("tokens", options.tokens)?;
         // SAFETY: the caller's arguments.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |fraction| reporter.fraction("weights", fraction);
         let model = Model::from_checkpoint_with(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;
-        let head = (options.tokens == 1).then(|| FrozenHead::load(&device.gpu, &checkpoint)).transpose()?;
-        // Names of kernels and devices contain no NUL.
+        let head = has_tokens.then(|| FrozenHead::load(&device.gpu, &checkpoint)).transpose()?;
         let warnings = [device.gpu.passed_over(), &chosen.warnings, checkpoint.notes()].concat();
-        let warnings = CString::new(warnings.join("\n")).unwrap_or_default();
+        let warnings = c_text(&warnings.join("\n"));
         Ok(zs_model { model, head: head.map(Arc::new), precision: chosen.precision, warnings })
     };
     // SAFETY: the caller's pointer.

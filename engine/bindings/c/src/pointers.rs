@@ -1,7 +1,8 @@
-//! Pointer arguments: handles, versioned structures, strings, arrays.
+//! Arguments: handles, versioned structures, strings, arrays, flags, enumerations.
 
 use super::status::{Failure, guard, zs_status};
-use std::ffi::{CStr, c_char};
+use std::ffi::{CStr, CString, c_char};
+use zipsplat::Error;
 
 type Result<T> = std::result::Result<T, Failure>;
 
@@ -17,6 +18,9 @@ pub unsafe trait Versioned: Copy {
     /// Size in the first version of this ABI.
     const FIRST_SIZE: usize = size_of::<Self>();
 
+    /// Returns the field `reserved`, which must be 0, or 0.
+    fn reserved(&self) -> u32;
+
     /// Returns zeros with `struct_size` set.
     fn new() -> Self {
         // SAFETY: all bit patterns are valid.
@@ -27,13 +31,18 @@ pub unsafe trait Versioned: Copy {
     }
 }
 
-/// Implements [`Versioned`] for structures unchanged since this ABI's first version.
+/// Implements [`Versioned`] for structures unchanged since this ABI's first version: their names,
+/// followed by `{ reserved }` if they have that field.
 macro_rules! versioned {
-    ($($name:ident),*) => {
+    ($($name:ident $({ $reserved:ident })?),*) => {
         $(
             // SAFETY: integers, floats, pointers and optional functions, ordered without padding.
             unsafe impl $crate::pointers::Versioned for $name {
                 const NAME: &str = stringify!($name);
+
+                fn reserved(&self) -> u32 {
+                    0 $(+ self.$reserved)?
+                }
             }
         )*
     };
@@ -60,6 +69,13 @@ unsafe fn given_size<T: Versioned>(pointer: *const T) -> Result<usize> {
 /// # Safety
 /// `pointer` is NULL or points to as many bytes as its first field states.
 pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T> {
+    // SAFETY: the caller's promise.
+    unsafe { read_named(pointer, T::NAME) }
+}
+
+/// # Safety
+/// As [`read_versioned`].
+unsafe fn read_named<T: Versioned>(pointer: *const T, name: &str) -> Result<T> {
     let mut value = T::new();
     if pointer.is_null() {
         return Ok(value);
@@ -68,7 +84,10 @@ pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T
     let size = unsafe { given_size(pointer) }?;
     // SAFETY: the caller has `size` bytes there, and `T` at least as many.
     unsafe { std::ptr::copy_nonoverlapping(pointer.cast::<u8>(), (&raw mut value).cast::<u8>(), size) };
-    Ok(value)
+    match value.reserved() {
+        0 => Ok(value),
+        other => Err(Failure::argument(format!("{name}, reserved"), other, "0")),
+    }
 }
 
 /// # Safety
@@ -81,13 +100,13 @@ pub(super) unsafe fn read_given<T: Versioned>(pointer: *const T) -> Result<T> {
     unsafe { read_versioned(pointer) }
 }
 
-/// Copies an array of equally sized structures. With `count` 0 the pointer is ignored.
+/// Returns the size of each of an array's structures. With `count` 0 the pointer is ignored.
 ///
 /// # Safety
 /// `pointer` is NULL or points to `count` structures of the size in the first `struct_size`.
-pub(super) unsafe fn read_array<T: Versioned>(pointer: *const T, count: usize, name: &str) -> Result<Vec<T>> {
+pub(super) unsafe fn checked_array<T: Versioned>(pointer: *const T, count: usize, name: &str) -> Result<usize> {
     if count == 0 {
-        return Ok(Vec::new());
+        return Ok(size_of::<T>());
     }
     if pointer.is_null() {
         return Err(Failure::argument(name, "NULL", format!("{count} elements")));
@@ -98,16 +117,26 @@ pub(super) unsafe fn read_array<T: Versioned>(pointer: *const T, count: usize, n
     if count > most {
         return Err(Failure::argument(format!("number of {name}"), count, format!("at most {most}")));
     }
-    let element = |i: usize| {
+    for i in 0..count {
         // SAFETY: the caller's promise; the size was checked not to wrap.
-        let at = unsafe { pointer.byte_add(i * size) };
-        // SAFETY: as above.
-        match unsafe { given_size(at) }? {
-            // SAFETY: as above.
-            own if own == size => unsafe { read_versioned(at) },
-            own => Err(Failure::argument(format!("{}, struct_size of {name}", T::NAME), own, format!("{size} in all"))),
+        let own = unsafe { given_size(pointer.byte_add(i * size)) }?;
+        if own != size {
+            let found = format!("{}, struct_size of {name}", T::NAME);
+            return Err(Failure::argument(found, own, format!("{size} in all")));
         }
-    };
+    }
+    Ok(size)
+}
+
+/// Copies an array of equally sized structures.
+///
+/// # Safety
+/// As [`checked_array`].
+pub(super) unsafe fn read_array<T: Versioned>(pointer: *const T, count: usize, name: &str) -> Result<Vec<T>> {
+    // SAFETY: the caller's promise.
+    let size = unsafe { checked_array(pointer, count, name) }?;
+    // SAFETY: the caller's promise; the size was checked not to wrap.
+    let element = |i: usize| unsafe { read_named(pointer.byte_add(i * size), &format!("{name} {i}")) };
     (0..count).map(element).collect()
 }
 
@@ -127,7 +156,7 @@ pub(super) unsafe fn write_versioned<T: Versioned>(pointer: *mut T, value: T) ->
     Ok(())
 }
 
-/// Fills an array of equally sized structures, whose sizes [`read_array`] checked.
+/// Fills an array of equally sized structures, whose sizes [`checked_array`] checked.
 ///
 /// # Safety
 /// `pointer` points to as many structures as `values` has.
@@ -264,6 +293,35 @@ pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Re
     bytes.to_str().map(Some).map_err(|error| Failure::argument(name, error, "UTF-8"))
 }
 
+/// Copies text, with spaces for NUL.
+pub(super) fn c_text(text: &str) -> CString {
+    CString::new(text.replace('\0', " ")).expect("no NUL")
+}
+
+/// Returns the element of photo `index`.
+pub(super) fn element<T>(photos: &[T], index: usize) -> Result<&T> {
+    let expected = || format!("a number below {}", photos.len());
+    photos.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))
+}
+
+pub(super) fn flag(name: &str, value: u32) -> Result<bool> {
+    match value {
+        0 | 1 => Ok(value == 1),
+        other => Err(Failure::argument(name, other, "0 or 1")),
+    }
+}
+
+/// Returns the meaning of a constant of an `enumeration`, whose `meanings` are in its order.
+pub(super) fn meaning<T, const N: usize>(
+    name: &str,
+    value: i32,
+    enumeration: &str,
+    meanings: [T; N],
+) -> zipsplat::Result<T> {
+    let found = usize::try_from(value).ok().and_then(|value| meanings.into_iter().nth(value));
+    found.ok_or_else(|| Error::argument(name, value, format!("a {enumeration}")))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -280,6 +338,10 @@ mod tests {
     unsafe impl Versioned for Grown {
         const NAME: &str = "grown";
         const FIRST_SIZE: usize = 8;
+
+        fn reserved(&self) -> u32 {
+            0
+        }
     }
 
     #[test]

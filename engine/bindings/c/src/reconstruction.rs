@@ -3,7 +3,7 @@
 use super::{
     camera::zs_camera,
     image::zs_pixel_values,
-    pointers::{Versioned, borrow, describe, destroy, produce},
+    pointers::{Versioned, borrow, c_text, describe, destroy, element, produce},
     scene::zs_scene,
     status::{Failure, zs_status},
 };
@@ -20,7 +20,6 @@ use zipsplat::{
     refine::FrozenHead,
 };
 
-/// A reconstruction's Gaussians on its device, with their relation to the photos.
 pub struct zs_reconstruction {
     pub(super) made: Reconstruction,
     pub(super) tokens: Option<ModelTokens>,
@@ -40,47 +39,33 @@ pub(super) struct ModelTokens {
 /// Camera, if found, number of inliers, number of patches.
 struct Estimate(Option<zs_camera>, u32, u32);
 
-/// Description of a reconstruction.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_reconstruction_info {
-    /// sizeof(zs_reconstruction_info).
     pub struct_size: u32,
-    /// 1 if ZS_REFINE_TARGET_TOKENS is possible.
     pub has_tokens: u32,
-    /// Number of photos.
     pub view_count: usize,
-    /// Number of kept tokens.
     pub token_count: usize,
-    /// Number of Gaussians.
     pub gaussian_count: usize,
-    /// Warnings.
     pub warnings: *const c_char,
-    /// Channels of zs_reconstruction_get_patch_tokens; 0 without features.
     pub channel_count: usize,
 }
 
-/// Estimated camera of a photo.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera_estimate {
-    /// sizeof(zs_camera_estimate).
     pub struct_size: u32,
-    /// Number of patches that agree with the camera.
     pub inliers: u32,
-    /// Number of patches.
     pub patches: u32,
-    /// 0.
     pub reserved: u32,
-    /// Camera of the whole photo in the scene's world; NULL without an estimate.
     pub camera: *const zs_camera,
 }
 
-versioned!(zs_reconstruction_info, zs_camera_estimate);
+versioned!(zs_reconstruction_info, zs_camera_estimate { reserved });
 
 impl zs_reconstruction {
     pub(super) fn new(made: Reconstruction, tokens: Option<ModelTokens>, arena: Arena, warnings: String) -> Self {
-        let warnings = CString::new(warnings).unwrap_or_default();
+        let warnings = c_text(&warnings);
         Self {
             made,
             tokens,
@@ -145,7 +130,6 @@ impl zs_reconstruction {
     }
 }
 
-/// Describes a reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_get_info(
     reconstruction: *const zs_reconstruction,
@@ -166,8 +150,6 @@ pub unsafe extern "C" fn zs_reconstruction_get_info(
     unsafe { describe(reconstruction, "reconstruction", info, of) }
 }
 
-/// Returns the patch tokens of the backbone's last layer, a cell per patch, for photo `index`: for
-/// its center crop with the aspect ratio of the network's input. They belong to the reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
     reconstruction: *const zs_reconstruction,
@@ -175,17 +157,13 @@ pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
     tokens: *mut zs_pixel_values,
 ) -> zs_status {
     let of = |reconstruction: &zs_reconstruction| {
-        let views = reconstruction.patch_tokens()?;
-        let expected = || format!("a number below {}", views.len());
-        let PixelValues { width, height, values, .. } =
-            views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
+        let PixelValues { width, height, values, .. } = element(reconstruction.patch_tokens()?, index)?;
         Ok(zs_pixel_values { width: *width, height: *height, values: values.as_ptr(), ..Versioned::new() })
     };
     // SAFETY: the caller's arguments.
     unsafe { describe(reconstruction, "reconstruction", tokens, of) }
 }
 
-/// Reads the scene from the device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_to_scene(
     reconstruction: *const zs_reconstruction,
@@ -197,8 +175,6 @@ pub unsafe extern "C" fn zs_reconstruction_to_scene(
     unsafe { produce(scene, read) }
 }
 
-/// Estimates the camera of photo `index` from its patches' Gaussians. The first call estimates all,
-/// with one field of view. Fails if no photo has an estimate, or for known cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     reconstruction: *const zs_reconstruction,
@@ -206,10 +182,7 @@ pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     estimate: *mut zs_camera_estimate,
 ) -> zs_status {
     let of = |reconstruction: &zs_reconstruction| {
-        let estimates = reconstruction.estimates()?;
-        let expected = || format!("a number below {}", estimates.len());
-        let Estimate(camera, inliers, patches) =
-            estimates.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
+        let Estimate(camera, inliers, patches) = element(reconstruction.estimates()?, index)?;
         let camera = camera.as_ref().map_or(null(), |camera| &raw const *camera);
         Ok(zs_camera_estimate { inliers: *inliers, patches: *patches, camera, ..Versioned::new() })
     };
@@ -217,7 +190,6 @@ pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     unsafe { describe(reconstruction, "reconstruction", estimate, of) }
 }
 
-/// Destroys a reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_destroy(reconstruction: *mut zs_reconstruction) {
     // SAFETY: NULL or given up by the caller.

@@ -6,7 +6,7 @@ use super::{
     camera::zs_camera,
     device::zs_device,
     image::zs_image,
-    pointers::{Versioned, borrow, produce},
+    pointers::{Versioned, borrow, flag, meaning, produce},
     progress::zs_progress_callback,
     reconstruction::{ModelTokens, zs_reconstruction},
     scene::zs_scene,
@@ -21,45 +21,32 @@ use zipsplat::{
     stages::lpips::LpipsNetwork,
 };
 
-/// Holds out no photo.
 pub const ZS_HOLDOUT_VIEWS_NONE: i32 = -1;
 
-/// Optimized parameters.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_refine_target {
-    /// The scene's Gaussians.
     ZS_REFINE_TARGET_GAUSSIANS = 0,
-    /// The tokens behind the Gaussians; needs zs_model_options.tokens.
     ZS_REFINE_TARGET_TOKENS = 1,
 }
 
 pub(super) type zs_refine_target_value = i32;
 
-/// Whether to learn a color transform per photo.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_exposure_mode {
-    /// If a factor per photo and color explains much of the error after the first steps.
     ZS_EXPOSURE_AUTO = 0,
-    /// Never.
     ZS_EXPOSURE_OFF = 1,
-    /// After the first steps.
     ZS_EXPOSURE_ON = 2,
 }
 
 pub(super) type zs_exposure_mode_value = i32;
 
-/// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
-/// pixel.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_antialiasing {
-    /// As zs_gaussians.antialiased.
     ZS_ANTIALIASING_AUTO = 0,
-    /// For scenes optimized that way.
     ZS_ANTIALIASING_ON = 1,
-    /// For other scenes.
     ZS_ANTIALIASING_OFF = 2,
 }
 
@@ -67,132 +54,74 @@ pub(super) type zs_antialiasing_value = i32;
 
 impl zs_antialiasing {
     /// `None` for the scene's.
-    pub(super) fn of(value: zs_antialiasing_value) -> Result<Option<bool>, Failure> {
-        match value {
-            0 => Ok(None),
-            1 => Ok(Some(true)),
-            2 => Ok(Some(false)),
-            other => Err(Failure::argument("antialiasing", other, "a zs_antialiasing")),
-        }
+    pub(super) fn of(value: zs_antialiasing_value) -> Result<Option<bool>, Error> {
+        meaning("antialiasing", value, "zs_antialiasing", [None, Some(true), Some(false)])
     }
 }
 
-/// Known depth of images in the loss, zs_image.depth.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_depth_loss {
-    /// Not used.
     ZS_DEPTH_LOSS_OFF = 0,
-    /// In the scene's unit.
     ZS_DEPTH_LOSS_METRIC = 1,
-    /// Relative, as of a depth network: its inverse is fitted to each photo's rendered one by a
-    /// scale and a shift.
     ZS_DEPTH_LOSS_RELATIVE = 2,
 }
 
 pub(super) type zs_depth_loss_value = i32;
 
-/// Reason for the end of a refinement.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_stop_reason {
-    /// All steps completed.
     ZS_STOP_REASON_FINISHED = 0,
-    /// The progress callback returned ZS_STOP.
     ZS_STOP_REASON_STOPPED = 1,
-    /// The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
 }
 
 pub(super) type zs_stop_reason_value = i32;
 
-/// Options of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_options {
-    /// sizeof(zs_refine_options).
     pub struct_size: u32,
-    /// Optimizer steps; 0 uses `seconds`.
     pub steps: u32,
-    /// Photos per step, capped at the number of training photos; 0 is 4.
     pub views_per_step: u32,
-    /// Number of evenly spaced held-out photos, less than all, or ZS_HOLDOUT_VIEWS_NONE; 0 holds
-    /// out one photo of 40 or more. The step with their best PSNR is returned.
     pub holdout_views: i32,
-    /// Maximum width and height in pixels; larger photos are downscaled. 0 is 1600, UINT32_MAX
-    /// keeps full size.
     pub max_image_size: [u32; 2],
-    /// Optimized parameters.
     pub target: zs_refine_target_value,
-    /// 1 also optimizes the training photos' cameras, except the first.
     pub optimize_cameras: u32,
-    /// Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
     pub perceptual_weight: f32,
-    /// Whether to learn a color transform per photo, for photos of different exposure or white
-    /// balance. The scene has their mean.
     pub exposure: zs_exposure_mode_value,
-    /// Seed of the photo order and of growth.
     pub seed: u64,
-    /// Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 50
-    /// steps on and below a training PSNR of 25 dB, to one per 32 pixels of the photos and at most
-    /// 16 times the scene's; from 200 steps on more, up to twice as many at 800. Must be 0 for
-    /// tokens.
     pub max_gaussians: usize,
-    /// Progress callback, called after each step.
     pub progress: zs_progress_callback,
-    /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Approximate duration instead of `steps`; 0 without `steps` is 60. A few timed steps
-    /// determine the number of steps and the photos' size.
     pub seconds: f64,
-    /// Whether to draw and return an antialiased scene.
     pub antialiasing: zs_antialiasing_value,
-    /// Known depth in the loss, by inverse depth.
     pub depth_loss: zs_depth_loss_value,
-    /// Initial weight of depth, which falls to a hundredth; 0 is the default of the kind.
     pub depth_weight: f32,
-    /// 0.
     pub reserved: u32,
 }
 
-/// Result of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_result {
-    /// sizeof(zs_refine_result).
     pub struct_size: u32,
-    /// Reason for the end.
     pub stop_reason: zs_stop_reason_value,
-    /// Completed steps.
     pub steps: u32,
-    /// Step of the returned scene; 0 if none improved it.
     pub best_step: u32,
-    /// Mean loss of the first step, at its resolution, or NaN.
     pub initial_loss: f64,
-    /// Mean loss of the last step, likewise.
     pub final_loss: f64,
-    /// Held-out PSNR in dB before the first step, or NaN.
     pub initial_psnr: f64,
-    /// Held-out PSNR in dB of the returned scene.
     pub best_psnr: f64,
-    /// Duration in seconds.
     pub seconds: f64,
-    /// Mean PSNR in dB of up to 16 full-size training photos before the first step.
     pub initial_training_psnr: f64,
-    /// The same for the returned scene.
     pub best_training_psnr: f64,
-    /// Output array for all photos' cameras, with struct_size set, or NULL.
     pub cameras: *mut zs_camera,
-    /// Output array for the transforms from the scene's colors to all photos', or NULL: for each
-    /// the 3 rows of a matrix with offset, 12 numbers, the identity unless learned.
     pub exposures: *mut f32,
 }
 
-versioned!(zs_refine_options, zs_refine_result);
+versioned!(zs_refine_options { reserved }, zs_refine_result);
 
-/// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-/// scene's world. An early stop or a diverging loss still returns the best scene. `result` may be
-/// NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine_scene(
     device: *const zs_device,
@@ -210,9 +139,9 @@ pub unsafe extern "C" fn zs_refine_scene(
             let (device, scene) = (borrow(device, "device")?, borrow(scene, "scene")?);
             (device, scene, Inputs::read(images, cameras, count, options, result)?)
         };
-        if inputs.options.target != zs_refine_target::ZS_REFINE_TARGET_GAUSSIANS as i32 {
+        if inputs.refines_tokens {
             let expected = "ZS_REFINE_TARGET_GAUSSIANS: zs_refine_reconstruction refines tokens";
-            return Err(Failure::argument("target of a scene", inputs.options.target, expected));
+            return Err(Failure::argument("target of a scene", "tokens", expected));
         }
         let arena = Arena::new(&device.gpu);
         let found = inputs.run(|photos, cameras, options, progress| {
@@ -226,7 +155,6 @@ pub unsafe extern "C" fn zs_refine_scene(
     unsafe { produce(refined, refine) }
 }
 
-/// As zs_refine_scene, for the Gaussians or tokens of a reconstruction.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine_reconstruction(
     reconstruction: *const zs_reconstruction,
@@ -244,7 +172,7 @@ pub unsafe extern "C" fn zs_refine_reconstruction(
             (reconstruction, Inputs::read(images, cameras, count, options, result)?)
         };
         let zs_reconstruction { made, tokens, arena, .. } = reconstruction;
-        let found = if inputs.options.target == zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32 {
+        let found = if inputs.refines_tokens {
             let Some(tokens) = tokens else {
                 let expected = "one of a model that was loaded with tokens = 1";
                 return Err(Failure::argument("reconstruction", "one without tokens", expected));
@@ -271,24 +199,12 @@ impl zs_refine_options {
     fn engine(&self) -> Result<RefineOptions, Failure> {
         let default = RefineOptions::default();
         let or = |number: u32, default: u32| if number == 0 { default } else { number };
-        if self.optimize_cameras > 1 {
-            return Err(Failure::argument("optimize_cameras", self.optimize_cameras, "0 or 1"));
-        }
         if !(self.perceptual_weight.is_finite() && self.perceptual_weight >= 0.0) {
             return Err(Failure::argument("perceptual_weight", self.perceptual_weight, "0 or a positive number"));
         }
-        if !(0..=zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32).contains(&self.target) {
-            return Err(Failure::argument("target", self.target, "a zs_refine_target"));
-        }
         let modes = [Exposure::Auto, Exposure::Off, Exposure::On];
-        let exposure = usize::try_from(self.exposure).ok().and_then(|mode| modes.get(mode).copied());
-        let exposure = exposure.ok_or_else(|| Failure::argument("exposure", self.exposure, "a zs_exposure_mode"))?;
-        let depth_loss = match self.depth_loss {
-            0 => None,
-            1 => Some(DepthLoss::of(DepthKind::Metric)),
-            2 => Some(DepthLoss::of(DepthKind::Relative)),
-            other => return Err(Failure::argument("depth_loss", other, "a zs_depth_loss")),
-        };
+        let depth_kinds = [None, Some(DepthKind::Metric), Some(DepthKind::Relative)];
+        let depth_loss = meaning("depth_loss", self.depth_loss, "zs_depth_loss", depth_kinds)?.map(DepthLoss::of);
         if !(self.depth_weight.is_finite() && self.depth_weight >= 0.0) {
             return Err(Failure::argument("depth_weight", self.depth_weight, "0 or a positive number"));
         }
@@ -311,8 +227,8 @@ impl zs_refine_options {
             views_per_step: or(self.views_per_step, default.views_per_step as u32) as usize,
             max_image_size: default.max_image_size.map(|sides| [0, 1].map(|i| or(self.max_image_size[i], sides[i]))),
             holdout_views,
-            optimize_cameras: self.optimize_cameras == 1,
-            exposure,
+            optimize_cameras: flag("optimize_cameras", self.optimize_cameras)?,
+            exposure: meaning("exposure", self.exposure, "zs_exposure_mode", modes)?,
             max_gaussians: (self.max_gaussians > 0).then_some(self.max_gaussians),
             perceptual_loss: (self.perceptual_weight > 0.0)
                 .then_some(PerceptualLoss { weight: self.perceptual_weight, network: LpipsNetwork::Vgg }),

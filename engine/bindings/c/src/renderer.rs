@@ -1,10 +1,10 @@
 //! Renderers: draw a scene from a device into host memory.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     device::zs_device,
     image::{checked_stride, zs_pixel_format, zs_pixel_format_value},
-    pointers::{array_mut, borrow, destroy, produce, read_array, read_given, read_versioned},
+    pointers::{array_mut, borrow, destroy, meaning, produce, read_array, read_given, read_versioned},
     reconstruction::zs_reconstruction,
     refine::{zs_antialiasing, zs_antialiasing_value},
     scene::{zs_gaussians, zs_scene},
@@ -15,12 +15,11 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 use zipsplat::{
-    Camera, Depth, RenderOptions, RenderOutput, Renderer, Scene,
+    Depth, RenderOptions, RenderOutput, Renderer, Scene,
     features::FeatureRenderer,
     stages::render::{Differentiator, MAX_SIDE},
 };
 
-/// A scene on a device. Caches recordings for the last four sizes and kinds of output.
 pub struct zs_renderer {
     pub(super) adopted: bool,
     renderer: Mutex<Renderer>,
@@ -58,63 +57,42 @@ fn emptied<T>(mutex: &Mutex<Option<T>>) -> MutexGuard<'_, Option<T>> {
     })
 }
 
-/// Depth along the camera's z axis, in world units.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_depth_mode {
-    /// Blended depth divided by alpha; 0 where alpha is 0.
     ZS_DEPTH_MODE_EXPECTED = 0,
-    /// Sum of depth times blending weight.
     ZS_DEPTH_MODE_ACCUMULATED = 1,
 }
 
 pub(super) type zs_depth_mode_value = i32;
 
-/// Options of pictures.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_render_options {
-    /// sizeof(zs_render_options).
     pub struct_size: u32,
-    /// 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged. Color includes the
-    /// background's part; on black it is premultiplied.
     pub format: zs_pixel_format_value,
-    /// Kind of zs_render_buffers.depth.
     pub depth: zs_depth_mode_value,
-    /// Opacity compensation.
     pub antialiasing: zs_antialiasing_value,
-    /// Background as red, green, blue.
     pub background: [f32; 3],
-    /// Culls Gaussians at smaller camera depth. 0 is 0.01, or less for scenes with an extent below
-    /// 0.1.
     pub near_plane: f32,
 }
 
-/// Output buffers of a picture; NULL skips one.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_render_buffers {
-    /// sizeof(zs_render_buffers).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// As zs_image.stride; padding stays unchanged.
     pub stride: i64,
-    /// As zs_image.pixels, in the options' format.
     pub pixels: *mut c_void,
-    /// height x width: 0 to 1.
     pub alpha: *mut f32,
-    /// height x width, in world units.
     pub depth: *mut f32,
-    /// height x width x 3: unit normals in the world, toward the camera; 0 where empty.
     pub normals: *mut f32,
 }
 
-versioned!(zs_render_options, zs_render_buffers);
+versioned!(zs_render_options, zs_render_buffers { reserved });
 
 const PIXELS_AT_ONCE: u64 = 1 << 24;
 
-/// Creates a renderer and uploads `scene`, which may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_create(
     device: *const zs_device,
@@ -149,16 +127,12 @@ impl zs_renderer {
     }
 }
 
-/// Replaces the scene, cheaply for an equal number of Gaussians and degree. After a failure, set a
-/// scene successfully before drawing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *mut zs_renderer, scene: *const zs_scene) -> zs_status {
     // SAFETY: the caller's arguments.
     guard(|| unsafe { borrow(renderer, "renderer")?.set(borrow(scene, "scene")?.scene.clone()) })
 }
 
-/// Replaces the scene by a reconstruction's Gaussians, without a copy to the host unless they are
-/// in the world of known cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_set_reconstruction(
     renderer: *mut zs_renderer,
@@ -175,8 +149,6 @@ pub unsafe extern "C" fn zs_renderer_set_reconstruction(
     })
 }
 
-/// As zs_scene_create and zs_renderer_set_scene, without a zs_scene, for optimizers. An equal
-/// number of Gaussians and degree is updated in place.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_update_gaussians(
     renderer: *mut zs_renderer,
@@ -195,14 +167,12 @@ pub unsafe extern "C" fn zs_renderer_update_gaussians(
     })
 }
 
-/// Destroys a renderer, after its copies to Vulkan targets.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_destroy(renderer: *mut zs_renderer) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(renderer) }
 }
 
-/// Draws a picture per camera. After a failure some pictures may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render(
     renderer: *const zs_renderer,
@@ -214,12 +184,10 @@ pub unsafe extern "C" fn zs_render(
     guard(|| {
         // SAFETY: the caller's arguments.
         let (renderer, options, cameras, pictures) = unsafe {
-            let (cameras, pictures) =
-                (read_array(cameras, count, "cameras")?, read_array(pictures, count, "pictures")?);
+            let (cameras, pictures) = (read_cameras(cameras, count)?, read_array(pictures, count, "pictures")?);
             (borrow(renderer, "renderer")?, read_versioned(options)?, cameras, pictures)
         };
         let format = options.checked()?;
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let mut strides = Vec::with_capacity(count);
         for (i, (camera, picture)) in cameras.iter().zip(&pictures).enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -227,9 +195,6 @@ pub unsafe extern "C" fn zs_render(
             if width.max(height) > MAX_SIDE {
                 let (found, expected) = (format!("{width} x {height}"), format!("sides up to {MAX_SIDE}"));
                 return Err(Failure::argument(format!("size of camera {i}"), found, expected));
-            }
-            if picture.reserved != 0 {
-                return Err(Failure::argument(format!("picture {i}, reserved"), picture.reserved, "0"));
             }
             let row_bytes = width as usize * format.bytes();
             let name = format!("picture {i}, stride");
@@ -277,11 +242,7 @@ impl zs_render_options {
     }
 
     pub(super) fn outputs(&self, rgb: bool, alpha: bool, wants_depth: bool) -> Result<RenderOptions, Failure> {
-        let depth = match self.depth {
-            0 => Depth::Expected,
-            1 => Depth::Accumulated,
-            other => return Err(Failure::argument("depth", other, "a zs_depth_mode")),
-        };
+        let depth = meaning("depth", self.depth, "zs_depth_mode", [Depth::Expected, Depth::Accumulated])?;
         let antialiased = zs_antialiasing::of(self.antialiasing)?;
         Ok(RenderOptions {
             rgb,

@@ -1,10 +1,10 @@
 //! Scenes in arrays, files and bytes.
 
 use super::{
-    camera::zs_camera,
+    camera::{read_cameras, zs_camera},
     pointers::{
-        Versioned, array, borrow, describe, destroy, optional_text, produce, put, read_array, read_given,
-        read_versioned, text,
+        Versioned, array, borrow, describe, destroy, flag, optional_text, produce, put, read_given, read_versioned,
+        text,
     },
     status::{Failure, guard, zs_status},
 };
@@ -13,11 +13,10 @@ use std::{
     sync::Arc,
 };
 use zipsplat::{
-    Camera, SaveOptions, Scene,
+    SaveOptions, Scene,
     types::{Origin, PointCloud, SceneFormat, World, read_world},
 };
 
-/// 3D Gaussians in host memory, which survive device loss.
 pub struct zs_scene {
     pub(super) scene: Arc<Scene>,
     /// World of a file's scene, if stored.
@@ -43,94 +42,61 @@ impl From<Arc<Scene>> for zs_scene {
     }
 }
 
-/// World of a scene.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_world {
-    /// ZS_WORLD_INPUT_CAMERAS with known cameras, else ZS_WORLD_FIRST_CAMERA.
     ZS_WORLD_AUTO = 0,
-    /// The first photo's camera space.
     ZS_WORLD_FIRST_CAMERA = 1,
-    /// The world of `cameras`, which are required.
     ZS_WORLD_INPUT_CAMERAS = 2,
 }
 
 pub(super) type zs_world_value = i32;
 
-/// Bytes of the library, such as an encoded scene file.
 pub struct zs_blob {
     bytes: Vec<u8>,
 }
 
-/// Gaussians as one array per property.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gaussians {
-    /// sizeof(zs_gaussians).
     pub struct_size: u32,
-    /// Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     pub sh_degree: u32,
-    /// N.
     pub count: usize,
-    /// N x 3 centers.
     pub means: *const f32,
-    /// N x 3 linear standard deviations, not negative.
     pub scales: *const f32,
-    /// N x 4 quaternions w, x, y, z of any length but zero.
     pub quats: *const f32,
-    /// N opacities from 0 to 1.
     pub opacities: *const f32,
-    /// N x K x 3 coefficients of spherical harmonics for red, green, blue, as in 3D Gaussian
-    /// Splatting. The basis is real and orthonormal, by band, then m = -l to l, negative for odd m:
-    /// 0.282095, -0.488603 y, 0.488603 z, -0.488603 x, ... for the unit vector (x, y, z) in the
-    /// world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis times
-    /// coefficients).
     pub sh_coeffs: *const f32,
-    /// 1 if the scene was optimized with opacity compensation, else 0; see zs_antialiasing.
     pub antialiased: u32,
-    /// 0.
     pub reserved: u32,
 }
 
-/// Options for writing scenes.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_scene_save_options {
-    /// sizeof(zs_scene_save_options).
     pub struct_size: u32,
-    /// SPZ version: 2, 3 or 4 (zstd); 0 is 3.
     pub spz_version: u32,
 }
 
-/// Options for reading scenes.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_scene_open_options {
-    /// sizeof(zs_scene_open_options).
     pub struct_size: u32,
-    /// 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     pub drop_invalid: u32,
-    /// Format in memory: "splat", "sog" or "gltf"; NULL for others and for files.
     pub format: *const c_char,
 }
 
-/// Description of a scene.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_scene_info {
-    /// sizeof(zs_scene_info).
     pub struct_size: u32,
-    /// World that the file states, or ZS_WORLD_AUTO.
     pub world: zs_world_value,
-    /// Number of Gaussians.
     pub gaussian_count: usize,
-    /// Number of Gaussians dropped by `drop_invalid`.
     pub dropped_count: usize,
 }
 
-versioned!(zs_gaussians, zs_scene_save_options, zs_scene_open_options, zs_scene_info);
+versioned!(zs_gaussians { reserved }, zs_scene_save_options, zs_scene_open_options, zs_scene_info);
 
-/// Describes a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_info(scene: *const zs_scene, info: *mut zs_scene_info) -> zs_status {
     let of = |zs_scene { scene, world, dropped }: &zs_scene| {
@@ -145,7 +111,6 @@ pub unsafe extern "C" fn zs_scene_get_info(scene: *const zs_scene, info: *mut zs
     unsafe { describe(scene, "scene", info, of) }
 }
 
-/// Returns the scene's arrays.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussians: *mut zs_gaussians) -> zs_status {
     let of = |zs_scene { scene, .. }: &zs_scene| {
@@ -165,7 +130,6 @@ pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussian
     unsafe { describe(scene, "scene", gaussians, of) }
 }
 
-/// Creates a scene from copies of arrays. All are required, with finite values in their range.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: *mut *mut zs_scene) -> zs_status {
     let create = || {
@@ -192,12 +156,6 @@ impl zs_gaussians {
             let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
             return Err(Failure::argument("gaussians, sh_degree", self.sh_degree, expected));
         }
-        if self.antialiased > 1 {
-            return Err(Failure::argument("gaussians, antialiased", self.antialiased, "0 or 1"));
-        }
-        if self.reserved != 0 {
-            return Err(Failure::argument("gaussians, reserved", self.reserved, "0"));
-        }
         let n = self.count;
         if n > MAX_GAUSSIANS {
             return Err(Failure::argument("gaussians", n, format!("at most {MAX_GAUSSIANS}")));
@@ -216,14 +174,11 @@ impl zs_gaussians {
             fill(&mut scene.sh_coeffs, array(self.sh_coeffs.cast(), n * k, "sh_coeffs")?);
         }
         scene.sh_degree = self.sh_degree;
-        scene.antialiased = self.antialiased == 1;
+        scene.antialiased = flag("gaussians, antialiased", self.antialiased)?;
         Ok(())
     }
 }
 
-/// Creates a scene with a Gaussian per point, as an initialization for zs_refine_scene. `positions`
-/// is N x 3; `colors` is N x 3 in red, green, blue, or NULL for gray. `cameras` limit the
-/// Gaussians' sizes; their count may be 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_points(
     positions: *const f32,
@@ -240,12 +195,11 @@ pub unsafe extern "C" fn zs_scene_from_points(
         // SAFETY: the caller's arrays.
         let (positions, colors, cameras) = unsafe {
             let colors = if colors.is_null() { &[] } else { array(colors.cast(), count, "colors")? };
-            (array(positions.cast(), count, "positions")?, colors, read_array(cameras, camera_count, "cameras")?)
+            (array(positions.cast(), count, "positions")?, colors, read_cameras(cameras, camera_count)?)
         };
         if positions.as_flattened().iter().any(|value: &f32| !value.is_finite()) {
             return Err(Failure::argument("positions", "NaN or infinity", "finite numbers"));
         }
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let cloud = PointCloud { positions: positions.to_vec(), colors: colors.to_vec() };
         Ok(Scene::from_points(&cloud, &cameras)?.into())
     };
@@ -253,8 +207,6 @@ pub unsafe extern "C" fn zs_scene_from_points(
     unsafe { produce(scene, create) }
 }
 
-/// Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .sog, .splat, or glTF with
-/// KHR_gaussian_splatting (.gltf, .glb).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(
     path: *const c_char,
@@ -274,7 +226,6 @@ pub unsafe extern "C" fn zs_scene_open(
     unsafe { produce(scene, open) }
 }
 
-/// As zs_scene_open, from memory. A glTF must not refer to other files.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_memory(
     data: *const c_void,
@@ -298,11 +249,7 @@ pub unsafe extern "C" fn zs_scene_from_memory(
 
 impl zs_scene_open_options {
     fn drops(&self) -> Result<bool, Failure> {
-        match self.drop_invalid {
-            0 => Ok(false),
-            1 => Ok(true),
-            other => Err(Failure::argument("drop_invalid", other, "0 or 1")),
-        }
+        flag("drop_invalid", self.drop_invalid)
     }
 
     fn checked(&self, mut scene: Scene) -> Result<zs_scene, Failure> {
@@ -324,8 +271,6 @@ fn format_named(name: &str) -> Result<SceneFormat, Failure> {
     SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
 }
 
-/// Writes a scene in the format of the extension: .ply, .spz, .sog, .splat, .gltf or .glb. An
-/// opened file's world is kept.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_save(
     scene: *const zs_scene,
@@ -340,7 +285,6 @@ pub unsafe extern "C" fn zs_scene_save(
     })
 }
 
-/// Encodes a scene as "ply", "spz", "sog", "splat", "gltf" or "glb".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_to_memory(
     scene: *const zs_scene,
@@ -358,7 +302,6 @@ pub unsafe extern "C" fn zs_scene_to_memory(
     unsafe { produce(bytes, encode) }
 }
 
-/// Returns the bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_blob_get(bytes: *const zs_blob, data: *mut *const c_void, size: *mut usize) -> zs_status {
     guard(|| {
@@ -369,14 +312,12 @@ pub unsafe extern "C" fn zs_blob_get(bytes: *const zs_blob, data: *mut *const c_
     })
 }
 
-/// Destroys bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_blob_destroy(bytes: *mut zs_blob) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(bytes) }
 }
 
-/// Destroys a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_destroy(scene: *mut zs_scene) {
     // SAFETY: NULL or given up by the caller.

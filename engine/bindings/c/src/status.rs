@@ -8,34 +8,20 @@ use std::{
 };
 use zipsplat::Error;
 
-/// Result of a call. Treat unknown values as failures.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_status {
-    /// Success.
     ZS_OK = 0,
-    /// An argument is invalid.
     ZS_ERROR_ARGUMENT = 1,
-    /// A file could not be opened, read or written.
     ZS_ERROR_IO = 2,
-    /// A file or buffer violates its format.
     ZS_ERROR_FORMAT = 3,
-    /// A checkpoint's tensors do not match its network.
     ZS_ERROR_WEIGHTS = 4,
-    /// No Vulkan loader, driver or suitable device.
     ZS_ERROR_NO_DEVICE = 5,
-    /// Too little device or host memory; nothing was submitted.
     ZS_ERROR_OUT_OF_MEMORY = 6,
-    /// The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    /// The device was reset or removed. Destroy all its objects and create a new one. Scenes
-    /// survive.
     ZS_ERROR_DEVICE_LOST = 8,
-    /// The progress callback canceled the call.
     ZS_ERROR_CANCELLED = 9,
-    /// Not available in this build.
     ZS_ERROR_UNSUPPORTED = 10,
-    /// A bug in the library. Destroy the call's objects; others stay usable.
     ZS_ERROR_INTERNAL = 11,
 }
 
@@ -56,15 +42,12 @@ pub(super) const STATUSES: [(zs_status, &CStr); 12] = [
     (ZS_ERROR_INTERNAL, c"ZS_ERROR_INTERNAL"),
 ];
 
-/// Returns a status's name, or "unknown status".
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
     let known = STATUSES.iter().find(|(known, _)| *known as i32 == status);
     known.map_or(c"unknown status", |(_, name)| name).as_ptr()
 }
 
-/// Returns the message of the calling thread's last failure, or "", of at most 16 KiB. The pointer
-/// stays valid until the thread ends; the next failure overwrites the text.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.0.as_ptr().cast()).unwrap_or(c"".as_ptr())

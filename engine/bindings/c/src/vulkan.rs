@@ -13,129 +13,81 @@ use std::{
     sync::LazyLock,
 };
 use zipsplat::{
+    Camera,
     gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, fast_requirements, requirements},
     stages::render::PixelLayout,
 };
 
-/// Kind of a zs_vulkan_requirement.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_requirement_kind {
-    /// `name` is the minimum API version, as "1.3", of VkApplicationInfo and the device.
     ZS_REQUIRES_API_VERSION = 0,
-    /// `name` is a device extension.
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
-    /// `name` is a field of `structure` to set to VK_TRUE at device creation.
     ZS_REQUIRES_FEATURE = 2,
 }
 
 pub(super) type zs_requirement_kind_value = i32;
 
-/// A requirement for the caller's device.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_requirement {
-    /// Kind.
     pub kind: zs_requirement_kind_value,
-    /// 1 if only faster precisions need it. Enable all that the device supports, then set
-    /// zs_vulkan_device.optional_features_enabled.
     pub optional: u32,
-    /// Vulkan's name; static.
     pub name: *const c_char,
-    /// Static; "" unless a feature.
     pub structure: *const c_char,
 }
 
-/// vkGetInstanceProcAddr, cast to a function without arguments.
 pub type zs_vulkan_function = Option<unsafe extern "C" fn()>;
 
-/// Locks or unlocks a queue. Must not call this library.
 pub type zs_queue_lock = Option<unsafe extern "C" fn(user_data: *mut c_void)>;
 
-/// Borrowed Vulkan handles, never destroyed.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_device {
-    /// sizeof(zs_vulkan_device).
     pub struct_size: u32,
-    /// Family of `queue`, with compute support.
     pub queue_family: u32,
-    /// vkGetInstanceProcAddr; NULL uses the system's loader.
     pub get_instance_proc_addr: zs_vulkan_function,
-    /// VkInstance.
     pub instance: *mut c_void,
-    /// VkPhysicalDevice.
     pub physical_device: *mut c_void,
-    /// VkDevice.
     pub device: *mut c_void,
-    /// VkQueue. Submissions happen only on calling threads.
     pub queue: *mut c_void,
-    /// Called before each submission to `queue`, and `unlock_queue` right after it, on the same
-    /// thread. Do not hold the lock when calling the library. NULL if the queue is not shared.
     pub lock_queue: zs_queue_lock,
-    /// NULL exactly if `lock_queue` is.
     pub unlock_queue: zs_queue_lock,
-    /// Argument of both callbacks.
     pub user_data: *mut c_void,
-    /// 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_FP32.
     pub optional_features_enabled: u32,
-    /// 0.
     pub reserved: u32,
-    /// As zs_device_options.cache_dir.
     pub cache_dir: *const c_char,
 }
 
-/// A value of a caller's timeline semaphore.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_semaphore_point {
-    /// Timeline VkSemaphore, cast to uint64_t.
     pub semaphore: u64,
-    /// Value to wait for or to signal.
     pub value: u64,
 }
 
-/// A caller's image or buffer as a copy destination. Handles are cast to uint64_t and must outlive
-/// the signals or, without signals, the renderer.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_target {
-    /// sizeof(zs_vulkan_target).
     pub struct_size: u32,
-    /// 0.
     pub reserved: u32,
-    /// VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the zs_pixel_format's format,
-    /// owned by the queue's family or shared. 0 for a buffer.
     pub image: u64,
-    /// First column; the camera's size must fit from there.
     pub x: u32,
-    /// First row.
     pub y: u32,
-    /// Mip level.
     pub mip_level: u32,
-    /// Array layer.
     pub array_layer: u32,
-    /// VkImageLayout after the waits.
     pub old_layout: i32,
-    /// VkImageLayout at the signals; 0 is VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     pub new_layout: i32,
-    /// VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     pub buffer: u64,
-    /// First byte, a multiple of 4.
     pub buffer_offset: u64,
-    /// Writable bytes from there.
     pub buffer_size: u64,
-    /// Number of `waits`.
     pub wait_count: usize,
-    /// Number of `signals`.
     pub signal_count: usize,
-    /// Waited for before writing.
     pub waits: *const zs_semaphore_point,
-    /// Signaled when the picture is written and visible.
     pub signals: *const zs_semaphore_point,
 }
 
-versioned!(zs_vulkan_device, zs_vulkan_target);
+versioned!(zs_vulkan_device { reserved }, zs_vulkan_target { reserved });
 
 const SHADER_READ_ONLY: i32 = 5;
 
@@ -160,7 +112,6 @@ static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
     Requirements(needed.chain(optional).map(entry).collect())
 });
 
-/// Lists the requirements of zs_device_from_vulkan.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_requirements(
     list: *mut *const zs_vulkan_requirement,
@@ -173,7 +124,6 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     })
 }
 
-/// Adopts the caller's device. All required features must be enabled; this cannot be checked.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_from_vulkan(
     vulkan: *const zs_vulkan_device,
@@ -182,9 +132,6 @@ pub unsafe extern "C" fn zs_device_from_vulkan(
     let adopt = || {
         // SAFETY: the caller's structure.
         let given = unsafe { read_versioned(vulkan) }?;
-        if given.reserved != 0 {
-            return Err(Failure::argument("zs_vulkan_device.reserved", given.reserved, "0"));
-        }
         let user_data = UserData(given.user_data);
         let queue_lock = match (given.lock_queue, given.unlock_queue) {
             (Some(lock), Some(unlock)) => Some(QueueLock {
@@ -230,12 +177,6 @@ impl UserData {
     }
 }
 
-/// Draws one camera into an image or buffer without a host copy, as ZS_PIXEL_RGBA8, BGRA8 or
-/// RGBA_F32. The renderer's device must be adopted.
-///
-/// Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
-/// ends with the signals; without semaphores, queue order applies. The renderer's next picture may
-/// wait for this copy, so no wait may depend on it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_to_vulkan(
     renderer: *const zs_renderer,
@@ -246,7 +187,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
     guard(|| {
         // SAFETY: the caller's arguments.
         let (renderer, camera, options) =
-            unsafe { (borrow(renderer, "renderer")?, read_given(camera)?.camera()?, read_versioned(options)?) };
+            unsafe { (borrow(renderer, "renderer")?, Camera::from(&read_given(camera)?), read_versioned(options)?) };
         if !renderer.adopted {
             return Err(Failure::argument(
                 "renderer",
@@ -273,15 +214,14 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
 impl zs_vulkan_target {
     /// # Safety
     /// The handles meet the documented requirements.
-    unsafe fn target(&self, camera: &zipsplat::types::Camera, layout: PixelLayout) -> Result<Target, Failure> {
+    unsafe fn target(&self, camera: &Camera, layout: PixelLayout) -> Result<Target, Failure> {
         let points = |pointer, count: usize, name| {
             // SAFETY: the caller's array.
             let points = unsafe { array::<zs_semaphore_point>(pointer, count, name) }?;
             Ok::<_, Failure>(points.iter().map(|p| Point { semaphore: p.semaphore, value: p.value }).collect())
         };
-        if self.reserved != 0 || (self.image == 0) == (self.buffer == 0) {
-            let found = if self.reserved != 0 { "a reserved field in use" } else { "both or none" };
-            return Err(Failure::argument("zs_vulkan_target", found, "an image or a buffer"));
+        if (self.image == 0) == (self.buffer == 0) {
+            return Err(Failure::argument("zs_vulkan_target", "both or none", "an image or a buffer"));
         }
         let waits = points(self.waits, self.wait_count, "waits")?;
         let signals = points(self.signals, self.signal_count, "signals")?;

@@ -32,7 +32,6 @@ pub(super) fn decimate(edited: &mut Edited, count: usize) -> String {
     format!("{} merged into neighbors", before - edited.scene.len())
 }
 
-/// A Gaussian with its visibility.
 #[derive(Clone, Copy)]
 struct Blob {
     mean: DVec3,
@@ -64,7 +63,6 @@ fn cost(a: &Blob, b: &Blob) -> f64 {
     a.weight.min(b.weight) * (overlap + shape + COLOR * a.color.distance_squared(b.color))
 }
 
-/// Merges up to `most` disjoint pairs, at least one.
 fn merge(edited: &mut Edited, most: usize) {
     let scene = &mut edited.scene;
     let weights = scene.visibilities();
@@ -95,7 +93,6 @@ fn merge(edited: &mut Edited, most: usize) {
     edited.keep(&kept);
 }
 
-/// Replaces the first of two Gaussians by their union.
 fn replace(scene: &mut Scene, [i, j]: [usize; 2], [a, b]: [&Blob; 2]) {
     let part = a.weight / (a.weight + b.weight);
     let mix = |a: f64, b: f64| b + part * (a - b);

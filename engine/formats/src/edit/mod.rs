@@ -166,7 +166,6 @@ impl Edit {
         matches!(self, Self::Level | Self::MinViews(..))
     }
 
-    /// Returns the scale and pose of an edit that moves the scene.
     fn placement(&self, cameras: &[Camera]) -> Result<Option<(f64, Pose)>> {
         let pose = match *self {
             Self::Translate(translation) => Pose { translation, ..Pose::IDENTITY },

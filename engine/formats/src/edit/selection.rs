@@ -46,7 +46,6 @@ pub(super) fn neighbors(edited: &mut Edited, count: usize, radius: f64) -> Strin
     select(edited, |i, _| near[i] >= count, &format!("with fewer than {count} neighbors within {radius:.4}"))
 }
 
-/// Counts other centers within a radius, up to `most`.
 fn neighbor_counts(scene: &Scene, most: usize, radius: impl Fn(usize) -> f64 + Sync) -> Vec<usize> {
     let tree = tree(scene);
     // Each center finds itself, too.

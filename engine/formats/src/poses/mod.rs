@@ -85,7 +85,6 @@ impl CaptureView {
         self.lens.map_or(photo, |lens| lens.view_size(photo))
     }
 
-    /// Returns the pose of the whole photo.
     fn photo_pose(&self) -> Pose {
         match self.lens.filter(|lens| lens.view > 0) {
             Some(lens) => {
@@ -219,9 +218,6 @@ impl Capture {
     }
 
     /// Returns the photos, each as many times as it has views.
-    ///
-    /// # Errors
-    /// As [`Capture::frames_of`].
     pub fn per_view(&self, photos: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
         let mut views = Vec::new();
         for photo in photos {

@@ -41,7 +41,6 @@ const COLUMNS: usize = 64;
 /// The logarithm of 0 is infinite.
 const MIN_SCALE: f32 = 1e-9;
 const META: &str = "meta.json";
-/// Model of antialiased scenes.
 const ANTIALIASED: &str = "antialiased";
 const MAX_META: u64 = 1 << 20;
 const MAX_IMAGE: u64 = 1 << 30;
@@ -86,7 +85,6 @@ struct Rest {
     files: [String; 2],
 }
 
-/// An image of RGBA texels.
 struct Texels {
     width: usize,
     rgba: Vec<[u8; 4]>,
@@ -269,7 +267,6 @@ impl<'a> Archive<'a> {
         Ok(Texels { width, rgba: image.into_raw().as_chunks().0.to_vec() })
     }
 
-    /// Reads coefficients above degree 0.
     fn read_rest(&mut self, rest: &Rest, scene: &mut Scene) -> Parsed<()> {
         let (coeffs, [file, labels]) = (scene.sh_coeffs_per_gaussian() - 1, &rest.files);
         let indices = self.texels(labels, scene.len())?.rgba;

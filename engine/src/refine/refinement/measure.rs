@@ -56,7 +56,6 @@ impl Refinement<'_> {
         Ok(mean)
     }
 
-    /// Returns as many views as a step has.
     fn first_views(&mut self, factor: u32) -> Result<Vec<View>> {
         let chosen = &self.training[..self.training.len().min(self.options.views_per_step)];
         self.photos.views(self.cameras.all(), chosen, &[], factor)

@@ -13,10 +13,8 @@ use rayon::prelude::*;
 use zipsplat::ops::{Activation, Epilogue, Linear, LinearKernel, Q8, Weights, pack_matrix};
 use zipsplat_reference::ops::activation::{gelu, sigmoid, silu};
 
-/// Residual of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Residual {
-    /// No residual.
     None,
     /// Tensor of its own.
     Apart,
@@ -24,7 +22,6 @@ pub enum Residual {
     InPlace,
 }
 
-/// Layer and input.
 #[derive(Clone)]
 pub struct Problem {
     rows: usize,
@@ -37,13 +34,10 @@ pub struct Problem {
     bias: Vec<f32>,
     /// SwiGLU takes columns [gate | value].
     pub activation: Activation,
-    /// Layer scale.
     pub scaled: bool,
-    /// Residual.
     pub residual: Residual,
     /// In the factors' type instead of f32.
     pub stored: bool,
-    /// Changes the device's limits.
     pub limits: fn(&mut Limits),
     /// All partial sums are exact in f32, in any order.
     whole: bool,
@@ -59,7 +53,6 @@ pub(crate) struct Truth {
     sums: Vec<f64>,
 }
 
-/// With bias.
 struct Sum {
     value: f64,
     error: f64,

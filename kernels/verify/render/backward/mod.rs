@@ -1,5 +1,3 @@
-//! Backward pass of rendering.
-
 mod cameras;
 mod color;
 mod project;

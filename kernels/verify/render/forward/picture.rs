@@ -34,7 +34,6 @@ pub fn truth(scene: &Scene, camera: &Camera, antialiased: bool) -> Rendering {
     rasterize::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
 }
 
-/// Converts a scene.
 pub fn gaussians(scene: &Scene) -> Gaussians {
     Gaussians {
         means: scene.means.iter().map(|v| v.map(f64::from)).collect(),
@@ -45,7 +44,6 @@ pub fn gaussians(scene: &Scene) -> Gaussians {
     }
 }
 
-/// Converts a camera.
 pub fn reference_camera(camera: &Camera) -> project::Camera {
     let (view, i) = (camera.view_matrix().transpose().to_cols_array(), &camera.intrinsics);
     let k = i.matrix().transpose().to_cols_array();

@@ -134,7 +134,6 @@ impl Group {
     }
 }
 
-/// Groups by `name`, in order of first use.
 fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
     let mut order: Vec<String> = Vec::new();
     let mut known: HashMap<String, ([u64; 3], Vec<Duration>)> = HashMap::new();

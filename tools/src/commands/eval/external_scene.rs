@@ -76,7 +76,6 @@ impl ExternalScene {
         self.scene.as_deref().or(self.from_depth.as_deref())
     }
 
-    /// Formats the options for the scores' hash.
     pub fn key(&self) -> String {
         let Self { scene, from_depth, scene_frame, scene_cameras, scene_unit, opacities, input } = self;
         let antialiased = input.antialiased.given();

@@ -2,9 +2,9 @@
 
 use super::{
     super::{
-        camera::zs_camera,
+        camera::{read_cameras, zs_camera},
         image::zs_image,
-        pointers::{Versioned, read_array, read_versioned, write_array, write_versioned},
+        pointers::{Versioned, checked_array, meaning, read_array, read_versioned, write_array, write_versioned},
         progress::{Reporter, zs_progress, zs_progress_action},
         status::Failure,
     },
@@ -21,7 +21,8 @@ use zipsplat::{
 pub(super) struct Inputs {
     photos: Photographs,
     cameras: Vec<Camera>,
-    pub options: zs_refine_options,
+    pub refines_tokens: bool,
+    options: zs_refine_options,
     engine: RefineOptions,
 }
 
@@ -66,11 +67,12 @@ impl Inputs {
         }
         // SAFETY: the caller's promise. Outputs are checked before expensive work.
         let (images, cameras, options) = unsafe {
-            read_array(read_versioned(result)?.cameras.cast_const(), output_count(result, count)?, "cameras")?;
-            (read_array(images, count, "images")?, read_array(cameras, count, "cameras")?, read_versioned(options)?)
+            let output = read_versioned(result)?.cameras;
+            checked_array(output, if output.is_null() { 0 } else { count }, "cameras")?;
+            (read_array(images, count, "images")?, read_cameras(cameras, count)?, read_versioned(options)?)
         };
+        let refines_tokens = meaning("target", options.target, "zs_refine_target", [false, true])?;
         let engine = options.engine()?;
-        let cameras = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let photo = |(i, image): (usize, &zs_image)| {
             // SAFETY: the caller's pixels.
             unsafe { image.image(&format!("image {i}")) }
@@ -89,7 +91,7 @@ impl Inputs {
             return Err(Failure::argument("depth of the images", "NULL in all", expected));
         }
         let photos = Photographs { images: pictures, depths };
-        Ok(Self { photos, cameras, options, engine })
+        Ok(Self { photos, cameras, refines_tokens, options, engine })
     }
 
     pub fn run(
@@ -128,16 +130,6 @@ impl Inputs {
             if cameras.is_null() { Ok(()) } else { write_array(cameras, found.cameras.iter().map(zs_camera::from)) }
         }
     }
-}
-
-/// Returns `count` if the result has an output array, else 0.
-///
-/// # Safety
-/// `result` is NULL or a structure of its stated size.
-unsafe fn output_count(result: *const zs_refine_result, count: usize) -> Result<usize, Failure> {
-    // SAFETY: the caller's promise.
-    let cameras = unsafe { read_versioned(result) }?.cameras;
-    Ok(if cameras.is_null() { 0 } else { count })
 }
 
 fn of(now: &RefineProgress<'_>) -> zs_progress {
