@@ -2,8 +2,9 @@
  * RADV_FORCE_FAMILY). The driver compiles every pipeline, memory is the host's, and nothing
  * executes.
  *
- * ZIPSPLAT_SPIRV names the folder of compiled kernels. The layer prints "PIPELINE NAME" to
- * standard error before each compilation, and "REFUSED NAME" after a failed one. */
+ * ZIPSPLAT_SPIRV names the folder of compiled kernels. The layer prints "PIPELINE NAME" and the
+ * values of the specialization constants, by number, to standard error before each compilation,
+ * and "REFUSED NAME" after a failed one. */
 #define _GNU_SOURCE
 #include "chain.h"
 
@@ -135,7 +136,14 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateComputePipelines(VkDevice d, V
     name = kernel->name;
     break;
   }
-  fprintf(stderr, "\nPIPELINE %s\n", name);
+  fprintf(stderr, "\nPIPELINE %s", name);
+  const VkSpecializationInfo *constants = infos->stage.pSpecializationInfo;
+  for (uint32_t i = 0; constants && i < constants->mapEntryCount; i++) {
+    uint32_t value;
+    memcpy(&value, (const char *)constants->pData + constants->pMapEntries[i].offset, sizeof value);
+    fprintf(stderr, " %u=%u", constants->pMapEntries[i].constantID, value);
+  }
+  fputc('\n', stderr);
   VkResult result = DEVICE(vkCreateComputePipelines)(d, cache, count, infos, a, pipelines);
   if (result) fprintf(stderr, "\nREFUSED %s\n", name);
   return result;

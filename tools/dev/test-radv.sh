@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Compiles the kernels with AMD's driver (RADV of Mesa 25) without a GPU; nothing is executed.
-# Prints each kernel's registers, shared memory and occupancy, the worst over its variants. Fails on
-# rejected kernels and on register spills.
-# usage: tools/dev/test-radv.sh [FAMILY...]      default navi31 (matrix units), navi21, vega10
+# Prints each kernel's registers, shared memory and occupancy, the worst over its variants, and the
+# inner loops of kernels on matrix units. Fails on rejected kernels and on register spills.
+# usage: tools/dev/test-radv.sh [FAMILY...]
+#   default navi31 and gfx1151 (matrix units), navi21, vega10. Mesa 25 has no matrices for gfx12.
 set -eEuo pipefail
 export ZIPSPLAT_DRIVER=lavapipe25
 # shellcheck source-path=SCRIPTDIR/..
@@ -21,7 +22,8 @@ END
 cat > "$work/run" << END
 #!/usr/bin/env bash
 export VK_DRIVER_FILES=$mesa/share/vulkan/icd.d/radeon_icd.json VK_LAYER_PATH=$work VK_LOADER_LAYERS_DISABLE='~implicit~'
-export VK_INSTANCE_LAYERS=VK_LAYER_ZIPSPLAT_absent ZIPSPLAT_SPIRV=$root/kernels/spirv RADV_DEBUG=shaderstats,nocache
+export VK_INSTANCE_LAYERS=VK_LAYER_ZIPSPLAT_absent ZIPSPLAT_SPIRV=$root/kernels/spirv
+export RADV_DEBUG=shaderstats,nocache\${SHADERS:+,shaders}
 exec $mesa/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2 --library-path $mesa/lib/x86_64-linux-gnu "\$@"
 END
 chmod +x "$work/run"
@@ -31,7 +33,7 @@ said=
 exec 3>&2
 trap '[[ ! -e $said ]] || tail -n 2 "$said" >&3' ERR
 failed=0
-[[ $# != 0 ]] || set -- navi31 navi21 vega10
+[[ $# != 0 ]] || set -- navi31 gfx1151 navi21 vega10
 for RADV_FORCE_FAMILY in "$@"; do
   export RADV_FORCE_FAMILY ZIPSPLAT_CACHE=$work/$RADV_FORCE_FAMILY
   said=$work/$RADV_FORCE_FAMILY.log
@@ -41,8 +43,9 @@ for RADV_FORCE_FAMILY in "$@"; do
     zipsplat doctor --quiet || [[ $? == 5 ]]
     for precision in fp16 bf16 int8; do forward $precision || [[ $? == 3 ]]; done
     sed -Ei 's/":(null|[0-9.e+]+)([,}])/":0.0\2/g; s/"begun":0.0/"begun":0/' "$ZIPSPLAT_CACHE"/self-test/*.json
-    zipsplat doctor tune --quiet || [[ $? == 4 ]]
-    for precision in fp32 fp16 bf16 int8; do forward $precision; done
+    SHADERS=1 zipsplat doctor tune --quiet || [[ $? == 4 ]]
+    forward fp32
+    for precision in fp16 bf16 int8; do SHADERS=1 forward $precision; done
     zipsplat bench render --quiet --gaussians 1000 --size 64x64 --sh 0,1,2,3 --effects
   } > "$said" 2>&1
   printf '\n%s\n%-36s %8s %9s %7s %6s %9s\n' "$RADV_FORCE_FAMILY" kernel variants registers spilled shared subgroups
@@ -62,5 +65,7 @@ for RADV_FORCE_FAMILY in "$@"; do
       close("sort")
       exit failed
     }' "$said" || failed=1
+  echo
+  python3 "$root/tools/dev/matrix_shares.py" "$said" "$RADV_FORCE_FAMILY"
 done
 exit $failed
