@@ -317,7 +317,7 @@ fn tokens_are_refined_as_in_rust() {
         let network =
             Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
         let first = cameras[0].pose;
-        let relative: Vec<Camera> = cameras.iter().map(|c| Camera { pose: c.pose.relative_to(&first), ..*c }).collect();
+        let relative: Vec<Camera> = cameras.iter().map(|camera| camera.relative_to(&first)).collect();
         let request = ReconstructOptions { cameras: Some(relative.clone()), ..ReconstructOptions::default() };
         let features = network.features(&photos, &request, go_on).expect("features");
         let tokens = network.tokens(&features, &request, go_on).expect("tokens");

@@ -81,8 +81,7 @@ fn options_and_cameras_give_rusts_scene() {
         })
         .collect();
     let c_cameras: Vec<_> = cameras.iter().map(in_c).collect();
-    let relative = |camera: &Camera| Camera { pose: camera.pose.relative_to(&cameras[0].pose), ..*camera };
-    let relative: Vec<_> = cameras.iter().map(relative).collect();
+    let relative: Vec<_> = cameras.iter().map(|camera| camera.relative_to(&cameras[0].pose)).collect();
     let cases = [
         (ZS_RATIO_AUTO, Ratio::Auto, zs_token_selection::ZS_TOKEN_SELECTION_KMEANS, TokenSelection::KMEANS, false),
         (0.3, Ratio::Fixed(0.3), zs_token_selection::ZS_TOKEN_SELECTION_STRIDE, TokenSelection::Stride, true),

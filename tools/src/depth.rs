@@ -309,8 +309,7 @@ impl PredictedViews {
     /// Returns the scene of confident pixels, at most `keep` per patch, in the frame of `first`.
     /// Depth is scaled.
     pub fn scene(&self, first: &Pose, keep: Option<u32>) -> Result<Scene> {
-        let here = |camera: &Camera| Camera { pose: camera.pose.relative_to(first), ..*camera };
-        let cameras: Vec<Camera> = self.cameras.iter().flatten().map(here).collect();
+        let cameras: Vec<Camera> = self.cameras.iter().flatten().map(|camera| camera.relative_to(first)).collect();
         let images = self.images();
         let scene = self.depths.scene(&cameras, &images, keep.map(|keep| keep as usize));
         if scene.is_empty() {
@@ -342,8 +341,6 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
 }
 
 fn of_views(frames: &[&CaptureView], views: &[View]) -> Result<Vec<Camera>> {
-    let camera = |(frame, view): (&&CaptureView, &View)| {
-        Ok(Camera { intrinsics: view.map.apply(&frame.camera.intrinsics, &frame.name)?, ..frame.camera })
-    };
+    let camera = |(frame, view): (&&CaptureView, &View)| view.map.camera(&frame.camera, &frame.name);
     frames.iter().zip(views).map(camera).collect()
 }

@@ -190,7 +190,9 @@ pub unsafe extern "C" fn zs_depth_predict(
         let input_size = Some(options.input_size).filter(|size| *size > 0);
         let views = bounded_views(image_count, photo, model.architecture().fitting(), input_size)?;
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
-        let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
+        let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| view.map.camera(camera, &format!("camera {i}"));
+        let of_views: Vec<Camera> = known.iter().zip(&views).enumerate().map(of_view).collect::<Result<_, _>>()?;
+        let known_cameras = (!known.is_empty()).then_some(of_views);
         let request = DepthOptions { cameras: known_cameras.clone(), ..DepthOptions::default() };
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |now: Progress<'_>| reporter.fraction(now.scope, now.fraction);
@@ -286,15 +288,6 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
 pub unsafe extern "C" fn zs_depth_result_destroy(depths: *mut zs_depth_result) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(depths) }
-}
-
-fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
-    let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
-        let label = format!("camera {i}");
-        camera.validate(&label)?;
-        Ok(Camera { intrinsics: view.map.apply(&camera.intrinsics, &label)?, ..*camera })
-    };
-    cameras.iter().zip(views).enumerate().map(of_view).collect()
 }
 
 fn found_cameras(
