@@ -78,7 +78,6 @@ pub fn ok(status: zs_status) {
     assert!(status == zs_status::ZS_OK, "{status:?}: {}", message());
 }
 
-/// The message contains all `words`.
 #[track_caller]
 pub fn fails(status: zs_status, expected: zs_status, words: &[&str]) {
     assert_eq!(status, expected, "{}", message());

@@ -189,7 +189,6 @@ impl InputSize {
 }
 
 impl PreparedPhotos {
-    /// Returns the number of patches of all photos, of `side` pixels.
     pub fn patches(&self, side: usize) -> usize {
         let of = |view: &View| (view.image.width as usize / side) * (view.image.height as usize / side);
         self.views.iter().map(of).sum()
@@ -290,7 +289,6 @@ impl PredictedViews {
         self.views.iter().map(|view| view.image.clone()).collect()
     }
 
-    /// Named by path; empty without cameras.
     pub fn frames(&self) -> Result<Vec<CaptureView>> {
         let frame = |(i, camera): (usize, &Camera)| {
             let photo = &self.photos[i];
@@ -333,7 +331,6 @@ impl PredictedViews {
     }
 }
 
-/// Retains the `kept` elements, and returns the others.
 fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
     let (stays, goes): (Vec<_>, Vec<_>) = std::mem::take(list).into_iter().zip(kept).partition(|(_, kept)| **kept);
     *list = stays.into_iter().map(|(item, _)| item).collect();

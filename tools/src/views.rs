@@ -136,7 +136,6 @@ impl Seeing {
         Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos, source_side: None }
     }
 
-    /// Scales a photo with its camera down to [`Seeing::source_side`].
     pub fn source(self, photo: Image, camera: Camera, label: &str) -> Result<(Image, Camera)> {
         let side = photo.width.min(photo.height);
         let Some(source) = self.source_side.filter(|source| *source < side) else { return Ok((photo, camera)) };
