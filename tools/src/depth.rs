@@ -14,15 +14,14 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    cameras::share_focal_lengths,
-    depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction},
+    depth::{self, DepthModel, DepthOptions, DepthPrediction},
     gpu::Device,
     ops::Precision,
     reconstruct::Ratio,
     types::{
         Camera, Fitting, Image, Masks, Pose, Scene, bounded_views,
         poses::{CaptureView, read_cloud},
-        preprocess::View,
+        preprocess::{PixelMap, View},
     },
     weights::{DepthArchitecture, DepthCheckpoint},
 };
@@ -243,10 +242,13 @@ impl DepthPredictor {
 
 impl PredictedViews {
     fn find_cameras(&mut self, CamerasFrom { camera_source, per_view_focal }: CamerasFrom) -> Result<()> {
-        let found: Vec<Result<Camera>> = match camera_source {
-            CameraSource::Decoder => self.depths.cameras()?.into_iter().map(Ok).collect(),
-            CameraSource::Rays => self.depths.cameras_of_rays()?.into_iter().map(|found| Ok(found?.camera)).collect(),
+        let source = match camera_source {
+            CameraSource::Decoder => depth::CameraSource::Decoder,
+            CameraSource::Rays => depth::CameraSource::Rays,
         };
+        let maps: Vec<PixelMap> = self.views.iter().map(|view| view.map).collect();
+        let lenses = (!per_view_focal).then(|| lenses(&self.photos)).transpose()?;
+        let found = self.depths.estimate_cameras(source, &maps, lenses.as_deref())?;
         let has: Vec<bool> = found.iter().map(Result::is_ok).collect();
         let (cameras, mut failed): (Vec<_>, Vec<_>) = found.into_iter().partition(Result::is_ok);
         if cameras.is_empty() {
@@ -255,13 +257,7 @@ impl PredictedViews {
         self.lost = keep(&mut self.photos, &has);
         keep(&mut self.views, &has);
         self.depths.keep_views(&has);
-        let mut cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
-        if !per_view_focal {
-            let maps: Vec<_> = self.views.iter().map(|view| view.map).collect();
-            let weights: Vec<_> = self.depths.views.iter().map(DepthMap::mean_confidence).collect();
-            share_focal_lengths(&mut cameras, &maps, &lenses(&self.photos)?, &weights);
-        }
-        self.cameras = Some(cameras);
+        self.cameras = Some(cameras.into_iter().flatten().collect());
         Ok(())
     }
 
