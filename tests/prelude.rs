@@ -32,3 +32,4 @@ pub use zipsplat::{
     types::{Camera, Image, Intrinsics, Pose, Scene, matrix_from_quaternion, poses::Capture},
     weights::{Architecture, Checkpoint, Dtype},
 };
+pub use zipsplat_verify::network;

@@ -85,7 +85,6 @@ pub(crate) fn shifted(values: &[f64], by: usize) -> Vec<f64> {
     (0..values.len()).map(|i| values[(i + by) % values.len()]).collect()
 }
 
-/// Joins rows of several tensors.
 pub(crate) fn joined<const N: usize>(tensors: &[Vec<f32>; N], widths: [usize; N]) -> Vec<f32> {
     let row = |n: usize| tensors.iter().zip(widths).flat_map(move |(x, width)| &x[n * width..][..width]);
     (0..tensors[0].len() / widths[0]).flat_map(row).copied().collect()

@@ -93,7 +93,6 @@ impl Problem {
         self.of(weights, |cell| self.values_of(cell))
     }
 
-    /// Records drawing, and lifting by both kernels.
     fn record(&self, trial: &mut Trial<'_>, device: &Device) -> [Tensor; 3] {
         let ([columns, rows], count) = (tiles(), self.splats.len() as u32);
         let Lists { pair_indices, tile_offsets, tile_sets, slots } = Lists::record(trial, count);

@@ -7,6 +7,7 @@
 
 mod bound;
 mod case;
+pub mod network;
 pub mod noise;
 mod tolerance;
 mod trial;

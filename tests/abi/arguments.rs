@@ -63,7 +63,7 @@ fn null_is_refused_everywhere() {
 fn failures_leave_null_behind() {
     let device = open_device();
     let text = c_string("no such file");
-    let scene = Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), null(), out) });
+    let scene = Object::try_new(|out| unsafe { zs_scene_open(text.as_ptr(), null(), out) });
     refused(scene, ZS_ERROR_IO, &["no such file"]);
     refused(model_from(&device, b"no model", null()), ZS_ERROR_FORMAT, &["model in memory"]);
     let device = c_string("no such device");
@@ -103,7 +103,7 @@ fn structures_of_arrays_say_their_size() {
     let path = folder.path().join("photo.png");
     photos[0].save_png(&path).expect("a photo can be written");
     let path = c_string(path.to_str().expect("UTF-8"));
-    let opened = Object::new(zs_image_buffer_destroy, |out| unsafe { zs_image_buffer_open(path.as_ptr(), out) });
+    let opened = Object::new(|out| unsafe { zs_image_buffer_open(path.as_ptr(), out) });
     let status = unsafe { zs_image_buffer_get_image(opened.handle, &mut photo) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_image, struct_size"]);
 }
@@ -213,7 +213,7 @@ fn what_cannot_be_reconstructed_is_refused() {
     let refuses = |images: &[zs_image], count: usize, options: &zs_reconstruct_options, words: &[&str]| {
         // SAFETY: oversized counts are rejected unread.
         let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, out) };
-        refused(Object::try_new(zs_reconstruction_destroy, make), ZS_ERROR_ARGUMENT, words);
+        refused(Object::try_new(make), ZS_ERROR_ARGUMENT, words);
     };
     for count in [0, 193, usize::MAX, usize::MAX / 32 + 2] {
         refuses(&[image], count, &options, &["images"]);
@@ -301,7 +301,7 @@ fn what_is_no_scene_is_refused() {
     let refuses = |array: &zs_gaussians, word: &str| {
         // SAFETY: oversized arrays are rejected unread.
         let make = |out| unsafe { zs_scene_create(array, out) };
-        refused(Object::try_new(zs_scene_destroy, make), ZS_ERROR_ARGUMENT, &[word]);
+        refused(Object::try_new(make), ZS_ERROR_ARGUMENT, &[word]);
     };
     for count in [usize::MAX, 1 << 40, (1 << 28) + 1] {
         refuses(&zs_gaussians { count, ..array }, "gaussians");
@@ -314,7 +314,7 @@ fn what_is_no_scene_is_refused() {
     refuses(&zs_gaussians { struct_size: 999, ..array }, "struct_size");
     let opacity = [2.0f32];
     refuses(&zs_gaussians { opacities: opacity.as_ptr(), ..array }, "opacities");
-    let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
+    let scene = Object::new(|out| unsafe { zs_scene_create(&array, out) });
     let status = unsafe { zs_scene_get_gaussians(scene.handle, &mut zs_gaussians { struct_size: 0, ..array }) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_gaussians", "struct_size"]);
     let path = c_string("scene.unknown");
@@ -332,6 +332,6 @@ fn handles_that_cannot_be_adopted_are_refused() {
     ] {
         // SAFETY: null handles are rejected before use.
         let make = |out| unsafe { zs_device_from_vulkan(&vulkan, out) };
-        refused(Object::try_new(zs_device_destroy, make), ZS_ERROR_ARGUMENT, &[word]);
+        refused(Object::try_new(make), ZS_ERROR_ARGUMENT, &[word]);
     }
 }

@@ -8,41 +8,63 @@ use std::{
 };
 use zipsplat::{
     reconstruct::{Model, ReconstructOptions},
-    types::{Image, Intrinsics, Scene},
+    types::{Camera, Image, Intrinsics, Pose, Scene},
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_c::*;
 use zipsplat_tests::{architectures, device::device as rust_device};
 
-pub struct Object<T> {
+/// Type of a handle.
+pub trait Handle: Sized {
+    const DESTROY: unsafe extern "C" fn(*mut Self);
+}
+
+macro_rules! handles {
+    ($($name:ident $destroy:ident)*) => {
+        $(impl Handle for $name {
+            const DESTROY: unsafe extern "C" fn(*mut Self) = $destroy;
+        })*
+    };
+}
+
+handles! {
+    zs_blob zs_blob_destroy
+    zs_capture zs_capture_destroy
+    zs_depth_model zs_depth_model_destroy
+    zs_depth_result zs_depth_result_destroy
+    zs_device zs_device_destroy
+    zs_image_buffer zs_image_buffer_destroy
+    zs_model zs_model_destroy
+    zs_reconstruction zs_reconstruction_destroy
+    zs_renderer zs_renderer_destroy
+    zs_scene zs_scene_destroy
+}
+
+pub struct Object<T: Handle> {
     pub handle: *mut T,
-    destroy: unsafe extern "C" fn(*mut T),
 }
 
 // SAFETY: any thread may use and destroy objects.
-unsafe impl<T> Send for Object<T> {}
-unsafe impl<T> Sync for Object<T> {}
+unsafe impl<T: Handle> Send for Object<T> {}
+unsafe impl<T: Handle> Sync for Object<T> {}
 
-impl<T> Object<T> {
-    pub fn new(destroy: unsafe extern "C" fn(*mut T), make: impl FnOnce(*mut *mut T) -> zs_status) -> Self {
-        made(Self::try_new(destroy, make))
+impl<T: Handle> Object<T> {
+    pub fn new(make: impl FnOnce(*mut *mut T) -> zs_status) -> Self {
+        made(Self::try_new(make))
     }
 
-    pub fn try_new(
-        destroy: unsafe extern "C" fn(*mut T),
-        make: impl FnOnce(*mut *mut T) -> zs_status,
-    ) -> Result<Self, zs_status> {
+    pub fn try_new(make: impl FnOnce(*mut *mut T) -> zs_status) -> Result<Self, zs_status> {
         let mut handle = std::ptr::dangling_mut();
         let status = make(&mut handle);
         assert_eq!(status == zs_status::ZS_OK, !handle.is_null(), "{status:?}: {}", message());
-        if handle.is_null() { Err(status) } else { Ok(Self { handle, destroy }) }
+        if handle.is_null() { Err(status) } else { Ok(Self { handle }) }
     }
 }
 
-impl<T> Drop for Object<T> {
+impl<T: Handle> Drop for Object<T> {
     fn drop(&mut self) {
         // SAFETY: created by `new`, destroyed once.
-        unsafe { (self.destroy)(self.handle) }
+        unsafe { T::DESTROY(self.handle) }
     }
 }
 
@@ -56,7 +78,6 @@ pub fn ok(status: zs_status) {
     assert!(status == zs_status::ZS_OK, "{status:?}: {}", message());
 }
 
-/// The message contains all `words`.
 #[track_caller]
 pub fn fails(status: zs_status, expected: zs_status, words: &[&str]) {
     assert_eq!(status, expected, "{}", message());
@@ -93,11 +114,11 @@ pub fn checkpoint() -> Checkpoint {
 }
 
 pub fn open_device() -> Object<zs_device> {
-    Object::new(zs_device_destroy, |out| unsafe { zs_device_create(null(), out) })
+    Object::new(|out| unsafe { zs_device_create(null(), out) })
 }
 
 pub fn try_device(options: &zs_device_options) -> Result<Object<zs_device>, zs_status> {
-    Object::try_new(zs_device_destroy, |out| unsafe { zs_device_create(options, out) })
+    Object::try_new(|out| unsafe { zs_device_create(options, out) })
 }
 
 pub fn model(device: &Object<zs_device>) -> Object<zs_model> {
@@ -118,7 +139,7 @@ pub fn model_from(
     options: *const zs_model_options,
 ) -> Result<Object<zs_model>, zs_status> {
     let load = |out| unsafe { zs_model_from_memory(device.handle, bytes.as_ptr().cast(), bytes.len(), options, out) };
-    Object::try_new(zs_model_destroy, load)
+    Object::try_new(load)
 }
 
 pub const SIDE: u32 = 5 * 14;
@@ -160,7 +181,7 @@ pub fn try_reconstruct(
     options: &zs_reconstruct_options,
 ) -> Result<Object<zs_reconstruction>, zs_status> {
     let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), images.len(), options, out) };
-    Object::try_new(zs_reconstruction_destroy, make)
+    Object::try_new(make)
 }
 
 /// The same in Rust.
@@ -174,7 +195,7 @@ pub fn to_scene(reconstruction: &Object<zs_reconstruction>) -> Object<zs_scene> 
 }
 
 pub fn try_to_scene(reconstruction: &Object<zs_reconstruction>) -> Result<Object<zs_scene>, zs_status> {
-    Object::try_new(zs_scene_destroy, |out| unsafe { zs_reconstruction_to_scene(reconstruction.handle, out) })
+    Object::try_new(|out| unsafe { zs_reconstruction_to_scene(reconstruction.handle, out) })
 }
 
 pub fn open_scene(
@@ -182,7 +203,7 @@ pub fn open_scene(
     options: &zs_scene_open_options,
 ) -> Result<Object<zs_scene>, zs_status> {
     let path = c_string(path.as_ref().to_str().expect("UTF-8"));
-    Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_open(path.as_ptr(), options, out) })
+    Object::try_new(|out| unsafe { zs_scene_open(path.as_ptr(), options, out) })
 }
 
 pub fn renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Object<zs_renderer> {
@@ -190,7 +211,7 @@ pub fn renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Object<
 }
 
 pub fn try_renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
-    Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(device.handle, scene.handle, out) })
+    Object::try_new(|out| unsafe { zs_renderer_create(device.handle, scene.handle, out) })
 }
 
 pub fn render_options(format: zs_pixel_format) -> zs_render_options {
@@ -199,15 +220,14 @@ pub fn render_options(format: zs_pixel_format) -> zs_render_options {
 
 /// `right` of the origin, looking forward.
 pub fn camera(width: u32, height: u32, right: f64) -> zs_camera {
-    let focal = f64::from(width);
-    let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
-    let translation = [right, 0.0, 0.0];
-    camera_of(Intrinsics { width, height, fx: focal, fy: focal, cx, cy }, rotation, translation)
+    let (w, h) = (f64::from(width), f64::from(height));
+    let intrinsics = Intrinsics { width, height, fx: w, fy: w, cx: w / 2.0, cy: h / 2.0 };
+    in_c(&Camera { intrinsics, pose: Pose { translation: [right, 0.0, 0.0].into(), ..Pose::IDENTITY } })
 }
 
-pub fn camera_of(intrinsics: Intrinsics, rotation: [f64; 9], translation: [f64; 3]) -> zs_camera {
-    let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
+pub fn in_c(Camera { intrinsics, pose }: &Camera) -> zs_camera {
+    let Intrinsics { width, height, fx, fy, cx, cy } = *intrinsics;
+    let (rotation, translation) = (pose.rotation.transpose().to_cols_array(), pose.translation.to_array());
     zs_camera { width, height, fx, fy, cx, cy, rotation, translation, ..Versioned::new() }
 }
 
@@ -217,7 +237,7 @@ pub fn picture_at(pixels: *mut u8) -> zs_render_buffers {
 
 pub fn scene_of(scene: &Scene) -> Object<zs_scene> {
     let array = arrays(scene);
-    Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) })
+    Object::new(|out| unsafe { zs_scene_create(&array, out) })
 }
 
 pub fn read(scene: &Object<zs_scene>) -> Scene {

@@ -43,7 +43,7 @@ fn capture(points: bool) -> TempDir {
 
 fn open(path: &Path) -> Object<zs_capture> {
     let path = c_string(path.to_str().expect("UTF-8"));
-    Object::new(zs_capture_destroy, |out| unsafe { zs_capture_open(path.as_ptr(), out) })
+    Object::new(|out| unsafe { zs_capture_open(path.as_ptr(), out) })
 }
 
 fn text(pointer: *const c_char) -> String {
@@ -78,7 +78,7 @@ fn all(capture: &Object<zs_capture>) -> Contents {
 }
 
 fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_image_buffer> {
-    Object::new(zs_image_buffer_destroy, |out| unsafe { zs_capture_open_image(capture.handle, index, null(), out) })
+    Object::new(|out| unsafe { zs_capture_open_image(capture.handle, index, null(), out) })
 }
 
 fn pixels(photo: &Object<zs_image_buffer>) -> zs_image {
@@ -162,7 +162,7 @@ fn captures_of_arrays_are_written_and_read() {
         |(camera, name): (&zs_camera, &CStr)| zs_capture_view { name: name.as_ptr(), camera, ..Versioned::new() };
     let views: Vec<_> = cameras.iter().zip(names).map(view).collect();
     let create = |views: &[zs_capture_view]| {
-        Object::try_new(zs_capture_destroy, |out| unsafe { zs_capture_create(views.as_ptr(), views.len(), out) })
+        Object::try_new(|out| unsafe { zs_capture_create(views.as_ptr(), views.len(), out) })
     };
     let path = folder.path().join("transforms.json");
     let text = c_string(path.to_str().expect("UTF-8"));

@@ -23,14 +23,12 @@ fn model(device: &Object<zs_device>, folder: &Path, alone: bool) -> (DepthCheckp
     let precision = zs_precision::ZS_PRECISION_FP32 as i32;
     let of_model = zs_depth_model_options { precision, ..Versioned::new() };
     let open = |out| unsafe { zs_depth_model_load(device.handle, path.as_ptr(), &of_model, out) };
-    (checkpoint, Object::new(zs_depth_model_destroy, open))
+    (checkpoint, Object::new(open))
 }
 
 fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_options) -> Object<zs_depth_result> {
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
-    Object::new(zs_depth_result_destroy, |out| unsafe {
-        zs_depth_predict(model.handle, images.as_ptr(), images.len(), options, out)
-    })
+    Object::new(|out| unsafe { zs_depth_predict(model.handle, images.as_ptr(), images.len(), options, out) })
 }
 
 fn get(depths: &Object<zs_depth_result>, index: usize) -> (zs_depth_map, zs_camera) {
@@ -77,7 +75,7 @@ fn depth_is_that_of_rust() {
     assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
     assert_ne!(lenses[0], [cameras[0].intrinsics.fx, cameras[0].intrinsics.fy]);
 
-    let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_depth_result_to_scene(depths.handle, 3, out) });
+    let scene = Object::new(|out| unsafe { zs_depth_result_to_scene(depths.handle, 3, out) });
     let expected = truth.scene(&cameras, &photos, Some(3));
     assert!(expected.len() > 20);
     assert!(read(&scene) == expected);

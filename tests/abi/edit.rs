@@ -19,7 +19,7 @@ fn edited(
     let mut counts = vec![usize::MAX; edits.len()];
     let mut sources = vec![usize::MAX; scenes.iter().map(|scene| read(scene).len()).sum()];
     let (e, c, n, s) = (edits.as_ptr(), cameras.as_ptr(), counts.as_mut_ptr(), sources.as_mut_ptr());
-    let scene = Object::try_new(zs_scene_destroy, |out| unsafe {
+    let scene = Object::try_new(|out| unsafe {
         zs_scene_edit(handles.as_ptr(), handles.len(), e, edits.len(), c, cameras.len(), n, s, out)
     })?;
     let scene = read(&scene);
@@ -80,7 +80,7 @@ fn invalid_edits_name_the_field() {
     refused(edited(&[], &[], &[]), ZS_ERROR_ARGUMENT, &["scenes", "0", "1 or more"]);
     let one = [scene.handle.cast_const()];
     let edit = |scenes, count, edits, edit_count| {
-        Object::try_new(zs_scene_destroy, |out| unsafe {
+        Object::try_new(|out| unsafe {
             zs_scene_edit(scenes, count, edits, edit_count, null(), 0, null_mut(), null_mut(), out)
         })
     };

@@ -17,7 +17,7 @@ fn known_depth_and_antialiasing_are_passed_on() {
             let (images, cameras) = (images.as_ptr(), cameras.as_ptr());
             zs_refine_scene(device.handle, scene.handle, images, cameras, 2, &options, null_mut(), out)
         };
-        Object::try_new(zs_scene_destroy, refine).map(|scene| read(&scene))
+        Object::try_new(refine).map(|scene| read(&scene))
     };
     let options = zs_refine_options { steps: 9, ..Versioned::new() };
     let [metric, relative] = [zs_depth_loss::ZS_DEPTH_LOSS_METRIC, zs_depth_loss::ZS_DEPTH_LOSS_RELATIVE]

@@ -61,7 +61,7 @@ fn from_memory(bytes: &[u8], format: Option<&str>, drop_invalid: u32) -> Result<
     let format = format.as_ref().map_or(null(), |format| format.as_ptr());
     let options = zs_scene_open_options { drop_invalid, format, ..Versioned::new() };
     let (data, size) = (bytes.as_ptr().cast(), bytes.len());
-    Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_from_memory(data, size, &options, out) })
+    Object::try_new(|out| unsafe { zs_scene_from_memory(data, size, &options, out) })
 }
 
 #[test]
@@ -72,7 +72,7 @@ fn scenes_go_to_memory_and_come_back() {
     for extension in scene_extensions() {
         let format = c_string(extension);
         let encode = |out| unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) };
-        let object = Object::new(zs_blob_destroy, encode);
+        let object = Object::new(encode);
         let (mut data, mut size): (*const c_void, usize) = (null(), 0);
         let bytes = unsafe {
             ok(zs_blob_get(object.handle, &mut data, &mut size));
@@ -87,7 +87,7 @@ fn scenes_go_to_memory_and_come_back() {
     }
     let format = c_string("obj");
     let encode = |out| unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) };
-    refused(Object::try_new(zs_blob_destroy, encode), ZS_ERROR_ARGUMENT, &["format", "obj", ".spz"]);
+    refused(Object::try_new(encode), ZS_ERROR_ARGUMENT, &["format", "obj", ".spz"]);
 }
 
 #[test]
@@ -119,9 +119,7 @@ fn photos_come_from_memory() {
     photos(1)[0].save_png(&path).expect("a photo can be written");
     let bytes = std::fs::read(&path).expect("it was written");
     let decode = |bytes: &[u8]| {
-        Object::try_new(zs_image_buffer_destroy, |out| unsafe {
-            zs_image_buffer_from_memory(bytes.as_ptr().cast(), bytes.len(), out)
-        })
+        Object::try_new(|out| unsafe { zs_image_buffer_from_memory(bytes.as_ptr().cast(), bytes.len(), out) })
     };
     let photo = made(decode(&bytes));
     let mut image = zs_image { format: 0, width: 0, height: 0, pixels: null(), ..image_of(&photos(1)[0]) };

@@ -20,7 +20,7 @@ impl Random {
         if self.below(8) > 0 { good } else { self.of(bad) }
     }
 
-    fn handle<T>(&mut self, pool: &[Object<T>]) -> *mut T {
+    fn handle<T: Handle>(&mut self, pool: &[Object<T>]) -> *mut T {
         if pool.is_empty() || self.below(8) == 0 { null_mut() } else { pool[self.below(pool.len())].handle }
     }
 }
@@ -37,13 +37,12 @@ struct World {
     succeeded: [u32; 8],
 }
 
-fn keep<T>(
+fn keep<T: Handle>(
     pool: &mut Vec<Object<T>>,
     random: &mut Random,
-    destroy: unsafe extern "C" fn(*mut T),
     make: impl FnOnce(*mut *mut T) -> zs_status,
 ) -> bool {
-    let made = Object::try_new(destroy, make);
+    let made = Object::try_new(make);
     if let Err(status) = made {
         assert!(!message().is_empty() && status != zs_status::ZS_ERROR_INTERNAL, "{status:?}: {}", message());
         return false;
@@ -59,14 +58,12 @@ impl World {
     fn step(&mut self, random: &mut Random, images: &[zs_image]) {
         let call = random.below(8);
         let done = match call {
-            0 => keep(&mut self.devices, random, zs_device_destroy, |out| unsafe { zs_device_create(null(), out) }),
+            0 => keep(&mut self.devices, random, |out| unsafe { zs_device_create(null(), out) }),
             1 => self.load(random),
             2 => self.reconstruct(random, images),
             3 => {
                 let (device, scene) = (random.handle(&self.devices), random.handle(&self.scenes));
-                keep(&mut self.renderers, random, zs_renderer_destroy, |out| unsafe {
-                    zs_renderer_create(device, scene, out)
-                })
+                keep(&mut self.renderers, random, |out| unsafe { zs_renderer_create(device, scene, out) })
             }
             4 => {
                 let (renderer, scene) = (random.handle(&self.renderers), random.handle(&self.scenes));
@@ -89,7 +86,7 @@ impl World {
                 *byte ^= 1 << random.below(8);
             }
         }
-        keep(&mut self.models, random, zs_model_destroy, |out| unsafe {
+        keep(&mut self.models, random, |out| unsafe {
             zs_model_from_memory(device, bytes.as_ptr().cast(), bytes.len(), null(), out)
         })
     }
@@ -109,14 +106,12 @@ impl World {
         };
         let list = [image, images[1]];
         let count = random.mostly(2, &[0, 1, 193, usize::MAX]);
-        let made = keep(&mut self.reconstructions, random, zs_reconstruction_destroy, |out| {
+        let made = keep(&mut self.reconstructions, random, |out| {
             // SAFETY: a live object or NULL; counts beyond the list are rejected before it is read.
             unsafe { zs_reconstruct(model, list.as_ptr(), count, &options, out) }
         });
         let reconstruction = random.handle(&self.reconstructions);
-        let read = keep(&mut self.scenes, random, zs_scene_destroy, |out| unsafe {
-            zs_reconstruction_to_scene(reconstruction, out)
-        });
+        let read = keep(&mut self.scenes, random, |out| unsafe { zs_reconstruction_to_scene(reconstruction, out) });
         made && read
     }
 
@@ -140,7 +135,7 @@ impl World {
     }
 
     fn destroy_one(&mut self, random: &mut Random) -> bool {
-        fn one<T>(pool: &mut Vec<Object<T>>, random: &mut Random) -> bool {
+        fn one<T: Handle>(pool: &mut Vec<Object<T>>, random: &mut Random) -> bool {
             let some = !pool.is_empty();
             if some {
                 pool.swap_remove(random.below(pool.len()));

@@ -57,10 +57,6 @@ impl Place {
     }
 
     pub fn c_cameras(&self) -> Vec<zs_camera> {
-        let in_c = |camera: &Camera| {
-            let rotation = camera.pose.rotation.transpose().to_cols_array();
-            camera_of(camera.intrinsics, rotation, camera.pose.translation.to_array())
-        };
         self.cameras.iter().map(in_c).collect()
     }
 
@@ -72,7 +68,7 @@ impl Place {
         let refine = |out| unsafe {
             zs_refine_scene(device.handle, scene.handle, images, cameras, count, options, &mut info, out)
         };
-        let refined = Object::try_new(zs_scene_destroy, refine)?;
+        let refined = Object::try_new(refine)?;
         Ok((read(&refined), info))
     }
 }
@@ -109,7 +105,7 @@ fn masked_photos_are_rusts() {
     let [photo, masks] = [photo.as_path(), folder.path()].map(|path| c_string(path.to_str().expect("UTF-8")));
     let masks = zs_masks { inverted: 1, folder: masks.as_ptr(), ..Versioned::new() };
     let open = |out: *mut *mut _| unsafe { zs_image_buffer_open_masked(photo.as_ptr(), &masks, out) };
-    let opened = Object::new(zs_image_buffer_destroy, open);
+    let opened = Object::new(open);
     let mut image = zs_image::new();
     ok(unsafe { zs_image_buffer_get_image(opened.handle, &mut image) });
     let found = unsafe { std::slice::from_raw_parts(image.mask, mask.len()) };
@@ -214,7 +210,7 @@ fn cameras_and_exposures_are_optimized_and_gaussians_grow_as_in_rust() {
     let (images, cameras, result) = (images.as_ptr(), cameras.as_ptr(), &mut result);
     let refine =
         |out| unsafe { zs_refine_scene(device.handle, scene.handle, images, cameras, 3, &options, result, out) };
-    let found = Object::new(zs_scene_destroy, refine);
+    let found = Object::new(refine);
     assert_same("scene", &bits(&read(&found)), &bits(&expected.scene));
     for (found, expected) in refined.iter().zip(&expected.cameras) {
         assert_eq!(found.translation, expected.pose.translation.to_array());
@@ -315,13 +311,13 @@ fn tokens_are_refined_as_in_rust() {
         let refine = |out| unsafe {
             zs_refine_reconstruction(scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
         };
-        let refined = read(&made(Object::try_new(zs_scene_destroy, refine)));
+        let refined = read(&made(Object::try_new(refine)));
         assert_ne!(bits(&refined), bits(&read(&to_scene(&scene))));
 
         let network =
             Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
         let first = cameras[0].pose;
-        let relative: Vec<Camera> = cameras.iter().map(|c| Camera { pose: c.pose.relative_to(&first), ..*c }).collect();
+        let relative: Vec<Camera> = cameras.iter().map(|camera| camera.relative_to(&first)).collect();
         let request = ReconstructOptions { cameras: Some(relative.clone()), ..ReconstructOptions::default() };
         let features = network.features(&photos, &request, go_on).expect("features");
         let tokens = network.tokens(&features, &request, go_on).expect("tokens");

@@ -80,13 +80,8 @@ fn options_and_cameras_give_rusts_scene() {
             },
         })
         .collect();
-    let in_c = |camera: &Camera| {
-        let rotation = camera.pose.rotation.transpose().to_cols_array();
-        camera_of(camera.intrinsics, rotation, camera.pose.translation.to_array())
-    };
     let c_cameras: Vec<_> = cameras.iter().map(in_c).collect();
-    let relative = |camera: &Camera| Camera { pose: camera.pose.relative_to(&cameras[0].pose), ..*camera };
-    let relative: Vec<_> = cameras.iter().map(relative).collect();
+    let relative: Vec<_> = cameras.iter().map(|camera| camera.relative_to(&cameras[0].pose)).collect();
     let cases = [
         (ZS_RATIO_AUTO, Ratio::Auto, zs_token_selection::ZS_TOKEN_SELECTION_KMEANS, TokenSelection::KMEANS, false),
         (0.3, Ratio::Fixed(0.3), zs_token_selection::ZS_TOKEN_SELECTION_STRIDE, TokenSelection::Stride, true),
@@ -212,14 +207,14 @@ fn scenes_come_back_from_arrays_and_files() {
     let scene = reconstruct(&model(&device), &[image_of(&photos[0])], &reconstruct_options());
     let gaussians = read(&scene);
     let array = arrays(&gaussians);
-    let copy = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
+    let copy = Object::new(|out| unsafe { zs_scene_create(&array, out) });
     assert_same("copied", &bits(&read(&copy)), &bits(&gaussians));
     let folder = tempfile::tempdir().unwrap();
     for extension in scene_extensions() {
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().unwrap());
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
-        let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), null(), out) });
+        let back = Object::new(|out| unsafe { zs_scene_open(text.as_ptr(), null(), out) });
         assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::Scene::open(&path).unwrap()));
     }
 }
@@ -235,7 +230,7 @@ fn gaussians_that_are_no_numbers_are_dropped_and_counted() {
     std::fs::write(&path, [row(1.0), row(f32::NAN), row(2.0), row(f32::INFINITY)].concat()).unwrap();
     let text = c_string(path.to_str().unwrap());
     let open = |out| unsafe { zs_scene_open(text.as_ptr(), null(), out) };
-    refused(Object::try_new(zs_scene_destroy, open), zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
+    refused(Object::try_new(open), zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
     let scene = made(open_scene(&path, &zs_scene_open_options { drop_invalid: 1, ..Versioned::new() }));
     assert_eq!(read(&scene).means, [[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]);
     let mut info = zs_scene_info::new();
@@ -305,7 +300,7 @@ fn reconstructions_and_updated_arrays_are_drawn_as_their_scenes() {
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGB_F32);
     let picture = |renderer: &Object<zs_renderer>| draw(renderer, &camera(40, 30, 0.1), &options, 12);
     let expected = picture(&renderer(&device, &scene));
-    let other = Object::new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(device.handle, null(), out) });
+    let other = Object::new(|out| unsafe { zs_renderer_create(device.handle, null(), out) });
     let status = try_draw(&other, &camera(40, 30, 0.1), &options, 12).expect_err("there is no scene");
     fails(status, zs_status::ZS_ERROR_ARGUMENT, &["scene"]);
     ok(unsafe { zs_renderer_set_reconstruction(other.handle, reconstruction.handle) });
@@ -330,9 +325,7 @@ fn normals_and_point_scenes_are_rusts() {
     let view = camera(24, 16, 0.0);
     let from_points = |count, colors, cameras: &[zs_camera]| {
         let (positions, cameras, len) = (positions.as_ptr().cast(), cameras.as_ptr(), cameras.len());
-        Object::try_new(zs_scene_destroy, |out| unsafe {
-            zs_scene_from_points(positions, colors, count, cameras, len, out)
-        })
+        Object::try_new(|out| unsafe { zs_scene_from_points(positions, colors, count, cameras, len, out) })
     };
     let scene = made(from_points(3, colors.as_ptr().cast(), &[view]));
     let mut cloud = PointCloud { positions: positions.to_vec(), colors: colors.to_vec() };
@@ -362,7 +355,7 @@ fn kept_features_give_other_scenes_and_patch_tokens() {
     let half = zs_reconstruct_options { ratio: 0.5, token_selection: stride, ..reconstruct_options() };
     let again = |model: &Object<zs_model>, from: &Object<zs_reconstruction>| {
         let make = |out| unsafe { zs_reconstruct_again(model.handle, from.handle, &half, out) };
-        Object::try_new(zs_reconstruction_destroy, make)
+        Object::try_new(make)
     };
     let found = made(again(&model, &whole));
     let expected = reconstruct(&model, &images, &half);

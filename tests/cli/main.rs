@@ -149,7 +149,6 @@ impl Folder {
         std::fs::read_to_string(self.path(name)).expect(name)
     }
 
-    /// Makes its folder.
     fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
         let path = self.path(name);
         std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
@@ -197,7 +196,6 @@ impl Folder {
         zipsplat(&self.line(line))
     }
 
-    /// Sorted, also hidden ones.
     fn names(&self) -> Vec<String> {
         names(self.0.path())
     }

@@ -3,10 +3,9 @@ use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::architectures::{depth_micro, depth_micro_alone};
 use zipsplat_tests::prelude::*;
+use zipsplat_tests::reference::cluster::kmeans::kmeans;
 use zipsplat_tests::reference::depth::{Sizes, View, features, views};
-use zipsplat_tests::{
-    reference::backbone::patchify::Images, reference::cluster::kmeans::kmeans, reference::model::Weights,
-};
+use zipsplat_tests::reference::model::Weights;
 
 /// As for the heads' goldens.
 const WITHIN: Tolerance = Tolerance { max: 1e-4, rms: 3e-5 };
@@ -17,17 +16,6 @@ pub(crate) fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
     (0..count).map(|v| Image::new(width, height, picture(v)).unwrap()).collect()
 }
 
-fn normalized(pictures: &[Image]) -> Images {
-    let (mean, deviation) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
-    let channel = |image: &Image, c: usize| {
-        let value = |byte: &u8| (f64::from(*byte) / 255.0 - mean[c]) / deviation[c];
-        image.rgb[c..].iter().step_by(3).map(value).collect::<Vec<f64>>()
-    };
-    let values = pictures.iter().flat_map(|image| (0..3).flat_map(move |c| channel(image, c))).collect();
-    let [width, height] = [pictures[0].width, pictures[0].height].map(|side| side as usize);
-    Images { values, views: pictures.len(), height, width }
-}
-
 fn predict(a: &DepthArchitecture, pictures: &[Image], request: &DepthOptions) -> DepthPrediction {
     let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
     let model = DepthModel::from_checkpoint(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).unwrap();
@@ -36,12 +24,7 @@ fn predict(a: &DepthArchitecture, pictures: &[Image], request: &DepthOptions) ->
 
 fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
     let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
-    let values = |(name, shape): &(String, Vec<usize>)| {
-        let mut values = vec![0.0; shape.iter().product()];
-        checkpoint.read_f32(name, &mut values).unwrap();
-        (name.clone(), (shape.clone(), values))
-    };
-    let weights: Weights = checkpoint.parameters().iter().map(values).collect();
+    let weights = network::weights(&checkpoint).unwrap();
     let b = &a.backbone;
     let out_layers = std::array::from_fn(|i| b.out_layers[i]);
     let sizes = Sizes {
@@ -58,7 +41,7 @@ fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
 fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthMap>, Vec<View>) {
     let request = DepthOptions { reference_view: Some(reference), ..DepthOptions::default() };
     let (weights, sizes) = weights(a);
-    (predict(a, pictures, &request).views, views(&weights, &sizes, &normalized(pictures), reference))
+    (predict(a, pictures, &request).views, views(&weights, &sizes, &network::images(pictures).normalized(), reference))
 }
 
 fn every(values: &[f64], first: usize, step: usize) -> Vec<f64> {
@@ -92,7 +75,7 @@ fn chosen_patches() {
     let request = DepthOptions { reference_view: Some(0), ratio: Ratio::Fixed(0.5), ..DepthOptions::default() };
     let found = predict(&a, &pictures, &request).patches.unwrap();
     let (weights, sizes) = weights(&a);
-    let (layers, _) = features(&weights, &sizes, &normalized(&pictures), 0);
+    let (layers, _) = features(&weights, &sizes, &network::images(&pictures).normalized(), 0);
     let clusters = kmeans(&layers[3], 2 * sizes.width, 9);
     // Exact ties give the first; otherwise rounding must not decide.
     let clear = |gap: &f64| *gap > 1e-4 || *gap < 1e-9;

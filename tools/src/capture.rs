@@ -6,7 +6,7 @@ use crate::{
     refinement::placed,
     session::Stage,
     stamp::{digest, stamp},
-    views::{Seeing, Views, seen_through},
+    views::{Seeing, Views},
 };
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -109,10 +109,7 @@ impl Choice {
             return Ok(());
         }
         let origin = self.poses.frames[self.inputs[0]].camera.pose;
-        let camera = |i: &usize| Camera {
-            pose: self.poses.frames[*i].camera.pose.relative_to(&origin),
-            ..self.poses.frames[*i].camera
-        };
+        let camera = |i: &usize| self.poses.frames[*i].camera.relative_to(&origin);
         let views: Vec<Camera> = self.inputs.iter().map(camera).collect();
         let scene_scale = self.poses.scene_scale(scene_scale, &views, &origin)?.length;
         for (k, i) in self.inputs.iter().enumerate().skip(1) {
@@ -330,8 +327,7 @@ pub fn spread(k: usize) -> DVec3 {
 
 fn posed(name: &str, photo: &Image, camera: &Camera, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
     let view = seeing.compare(photo)?;
-    let camera = seen_through(camera, &view.map, label)?;
-    let camera = Camera { pose: camera.pose.relative_to(world), ..camera };
+    let camera = view.map.camera(camera, label)?.relative_to(world);
     Ok(Posed { name: name.to_owned(), image: view.image, camera })
 }
 

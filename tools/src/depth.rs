@@ -14,15 +14,14 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    cameras::share_focal_lengths,
-    depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction},
+    depth::{self, DepthModel, DepthOptions, DepthPrediction},
     gpu::Device,
     ops::Precision,
     reconstruct::Ratio,
     types::{
         Camera, Fitting, Image, Masks, Pose, Scene, bounded_views,
         poses::{CaptureView, read_cloud},
-        preprocess::View,
+        preprocess::{PixelMap, View},
     },
     weights::{DepthArchitecture, DepthCheckpoint},
 };
@@ -189,7 +188,6 @@ impl InputSize {
 }
 
 impl PreparedPhotos {
-    /// Returns the number of patches of all photos, of `side` pixels.
     pub fn patches(&self, side: usize) -> usize {
         let of = |view: &View| (view.image.width as usize / side) * (view.image.height as usize / side);
         self.views.iter().map(of).sum()
@@ -244,10 +242,13 @@ impl DepthPredictor {
 
 impl PredictedViews {
     fn find_cameras(&mut self, CamerasFrom { camera_source, per_view_focal }: CamerasFrom) -> Result<()> {
-        let found: Vec<Result<Camera>> = match camera_source {
-            CameraSource::Decoder => self.depths.cameras()?.into_iter().map(Ok).collect(),
-            CameraSource::Rays => self.depths.cameras_of_rays()?.into_iter().map(|found| Ok(found?.camera)).collect(),
+        let source = match camera_source {
+            CameraSource::Decoder => depth::CameraSource::Decoder,
+            CameraSource::Rays => depth::CameraSource::Rays,
         };
+        let maps: Vec<PixelMap> = self.views.iter().map(|view| view.map).collect();
+        let lenses = (!per_view_focal).then(|| lenses(&self.photos)).transpose()?;
+        let found = self.depths.estimate_cameras(source, &maps, lenses.as_deref())?;
         let has: Vec<bool> = found.iter().map(Result::is_ok).collect();
         let (cameras, mut failed): (Vec<_>, Vec<_>) = found.into_iter().partition(Result::is_ok);
         if cameras.is_empty() {
@@ -256,13 +257,7 @@ impl PredictedViews {
         self.lost = keep(&mut self.photos, &has);
         keep(&mut self.views, &has);
         self.depths.keep_views(&has);
-        let mut cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
-        if !per_view_focal {
-            let maps: Vec<_> = self.views.iter().map(|view| view.map).collect();
-            let weights: Vec<_> = self.depths.views.iter().map(DepthMap::mean_confidence).collect();
-            share_focal_lengths(&mut cameras, &maps, &lenses(&self.photos)?, &weights);
-        }
-        self.cameras = Some(cameras);
+        self.cameras = Some(cameras.into_iter().flatten().collect());
         Ok(())
     }
 
@@ -290,7 +285,6 @@ impl PredictedViews {
         self.views.iter().map(|view| view.image.clone()).collect()
     }
 
-    /// Named by path; empty without cameras.
     pub fn frames(&self) -> Result<Vec<CaptureView>> {
         let frame = |(i, camera): (usize, &Camera)| {
             let photo = &self.photos[i];
@@ -309,8 +303,7 @@ impl PredictedViews {
     /// Returns the scene of confident pixels, at most `keep` per patch, in the frame of `first`.
     /// Depth is scaled.
     pub fn scene(&self, first: &Pose, keep: Option<u32>) -> Result<Scene> {
-        let here = |camera: &Camera| Camera { pose: camera.pose.relative_to(first), ..*camera };
-        let cameras: Vec<Camera> = self.cameras.iter().flatten().map(here).collect();
+        let cameras: Vec<Camera> = self.cameras.iter().flatten().map(|camera| camera.relative_to(first)).collect();
         let images = self.images();
         let scene = self.depths.scene(&cameras, &images, keep.map(|keep| keep as usize));
         if scene.is_empty() {
@@ -334,7 +327,6 @@ impl PredictedViews {
     }
 }
 
-/// Retains the `kept` elements, and returns the others.
 fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
     let (stays, goes): (Vec<_>, Vec<_>) = std::mem::take(list).into_iter().zip(kept).partition(|(_, kept)| **kept);
     *list = stays.into_iter().map(|(item, _)| item).collect();
@@ -342,8 +334,6 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
 }
 
 fn of_views(frames: &[&CaptureView], views: &[View]) -> Result<Vec<Camera>> {
-    let camera = |(frame, view): (&&CaptureView, &View)| {
-        Ok(Camera { intrinsics: view.map.apply(&frame.camera.intrinsics, &frame.name)?, ..frame.camera })
-    };
+    let camera = |(frame, view): (&&CaptureView, &View)| view.map.camera(&frame.camera, &frame.name);
     frames.iter().zip(views).map(camera).collect()
 }

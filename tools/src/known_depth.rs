@@ -32,7 +32,6 @@ pub const VALUES: &str = "depths.safetensors";
 /// Metadata of [`VALUES`]: the photos' names without extension.
 pub const PHOTOS: &str = "zipsplat.photos";
 
-/// Depth of a refinement's photos.
 pub struct KnownDepth {
     pub kind: DepthKind,
     maps: Vec<Option<DepthMap>>,
@@ -119,7 +118,6 @@ impl KnownDepth {
     }
 }
 
-/// Photos with their known depth, if any.
 pub struct WithDepth<'a, P>(pub P, pub Option<&'a KnownDepth>);
 
 impl<P: Photos> Photos for WithDepth<'_, P> {
@@ -153,7 +151,6 @@ fn listed(file: &Path, frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     Ok(frames.iter().map(path).collect())
 }
 
-/// Reads a photo's depth from FOLDER/NAME.npy, as [`read_file`].
 pub fn read_npy(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     if frame.lens.is_some() {
         let found = format!("{}, whose lens distorts", frame.name);

@@ -26,7 +26,6 @@ use zipsplat::{
     },
 };
 
-/// Largest side of the pictures that values are lifted from.
 const LARGEST: u32 = 1600;
 const KEYS: [&str; 2] = ["zipsplat.scene_sha256", "zipsplat.group"];
 
@@ -51,13 +50,11 @@ impl PosedPhotos {
     }
 }
 
-/// Finds the values of a photo's pixels in a folder.
 pub fn values_file(folder: &Path, photo: &str) -> Option<PathBuf> {
     let files = ["npy", "png"].map(|extension| named_after(folder, Path::new(photo), extension));
     files.into_iter().flatten().find(|file| file.is_file())
 }
 
-/// Values of photos: files of a folder with the photos' names, and the photos' cameras.
 pub struct ValueFiles(Vec<(PathBuf, Camera, Option<Lens>)>);
 
 impl ValueFiles {
@@ -169,7 +166,6 @@ fn read_values(path: &Path, labels: Option<usize>) -> Result<PixelValues> {
     Ok(PixelValues { width, height, channels: labels.unwrap_or(1), values })
 }
 
-/// Writes features with the hash of their scene.
 pub fn save(path: &Path, lifted: &Lifted, scene: &Scene) -> Result<()> {
     let Features { values, channels, group } = &lifted.features;
     let rows = lifted.weights.len();
@@ -183,7 +179,6 @@ pub fn save(path: &Path, lifted: &Lifted, scene: &Scene) -> Result<()> {
     write_atomic(path, |out| out.write_all(&bytes))
 }
 
-/// Checks that every scene has features, or none.
 pub fn check_count(features: &[PathBuf], scenes: &[PathBuf]) -> Result<()> {
     if features.is_empty() || features.len() == scenes.len() {
         return Ok(());

@@ -37,7 +37,6 @@ impl MaskArgs {
         self.cut.get().cloned().or_else(|| self.below(Path::new("")))
     }
 
-    /// Sets the masks of the photos that replaced the given ones.
     pub fn replace(&self, masks: Masks) {
         // Photos are listed once.
         let _ = self.cut.set(masks);

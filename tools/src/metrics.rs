@@ -55,7 +55,6 @@ pub fn masked_ssim(image: &Image, a: &[f32], b: &[f32]) -> f64 {
     ssim_where(&a, &b, [image.width as usize, image.height as usize], |center| !image.ignores(center))
 }
 
-/// Returns both pictures, gray where the mask of `image` ignores it.
 pub fn hidden(image: &Image, a: &[f32], b: &[f32]) -> [Vec<f32>; 2] {
     let mut pictures = [a, b].map(<[f32]>::to_vec);
     pictures.iter_mut().for_each(|picture| image.hide(picture, f32::from(MASKED) / 255.0));

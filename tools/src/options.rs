@@ -160,13 +160,11 @@ pub struct SceneInput {
 }
 
 impl SceneInput {
-    /// Rejects options of scenes for other input.
     pub fn refuse(&self, found: &str, expected: &str) -> Result<()> {
         self.refuse_dropping(found, expected)?;
         self.antialiased.refuse(found, expected)
     }
 
-    /// Rejects `--drop-invalid` for other input.
     pub fn refuse_dropping(&self, found: &str, expected: &str) -> Result<()> {
         refuse("--drop-invalid", self.drop_invalid, found, expected)
     }

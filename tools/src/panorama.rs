@@ -43,7 +43,6 @@ fn is_whole(photo: &Path) -> Result<bool> {
     Image::size(photo).map(|(width, height)| u64::from(width) == 2 * u64::from(height))
 }
 
-/// Returns which photos are 360-degree photos: as `model` states, else those with GPano metadata.
 pub fn find(session: &mut Session<'_>, photos: &[PathBuf], model: Option<CameraModel>) -> Result<Vec<bool>> {
     if let Some(model) = model {
         return Ok(vec![model == CameraModel::Equirectangular; photos.len()]);
@@ -62,7 +61,6 @@ pub fn find(session: &mut Session<'_>, photos: &[PathBuf], model: Option<CameraM
     Ok(found)
 }
 
-/// Rejects photos with GPano metadata where none are cut.
 pub fn refuse(photos: &[PathBuf]) -> Result<()> {
     let is_found = |photo: &&PathBuf| states_equirectangular(photo) && is_whole(photo).unwrap_or(false);
     photos.iter().find(is_found).map_or(Ok(()), |photo| {

@@ -69,7 +69,6 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     numbered(&svg, points.iter().flatten().map(|at| at.of))
 }
 
-/// Returns an SVG with two plots a row, under their headings.
 pub fn sheet(plots: &[(&str, String)]) -> String {
     let height = |svg: &str| svg.split('"').skip_while(|part| !part.ends_with("height=")).nth(1)?.parse::<u32>().ok();
     let (mut sheet, mut top) = (String::new(), 0);
@@ -101,12 +100,10 @@ fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
     numbered
 }
 
-/// A name and its color, and its place in the legend.
 type Entry = (String, Option<RGBColor>, (i32, i32));
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// Places the legend in rows, which the height follows.
 fn legend(meaning: &str, shown: &[Series], omitted: usize, beneath: Option<&Series>) -> (Vec<Entry>, u32) {
     let names = iter::once((format!("{meaning}:"), None))
         .chain(beneath.map(|line| (line.name.clone(), Some(GRAY))))

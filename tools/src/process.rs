@@ -113,7 +113,6 @@ impl Drop for Running {
     }
 }
 
-/// Kills all child groups and blocks further starts, before an immediate exit.
 pub fn end_all() {
     let started = lock(&STARTED);
     started.iter().for_each(|id| end_group(*id));
@@ -132,7 +131,6 @@ fn lock(started: &Mutex<Vec<u32>>) -> std::sync::MutexGuard<'_, Vec<u32>> {
     started.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-/// Passes every line of output and errors to `line`.
 pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) -> Result<()>) -> Result<ExitStatus> {
     let program = command.get_program().to_owned();
     let failed = |source| Error::io(&program, source);

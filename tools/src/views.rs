@@ -9,7 +9,7 @@ use zipsplat::{
     types::{
         Camera, Image, Masks, Pose,
         poses::CaptureView,
-        preprocess::{PixelMap, View, fit},
+        preprocess::{View, fit},
         tile_count, tiles,
     },
 };
@@ -95,7 +95,7 @@ impl Crop {
             }
             _ => {
                 let view = fit(photo, size.0, size.1)?;
-                let camera = camera.map(|camera| seen_through(camera, &view.map, label)).transpose()?;
+                let camera = camera.map(|camera| view.map.camera(camera, label)).transpose()?;
                 Ok(vec![(view.image, camera)])
             }
         }
@@ -124,8 +124,7 @@ impl Crop {
     pub fn network_cameras(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
             (Self::Tiles, Some(first)) => {
-                let relative = |camera: Camera| Camera { pose: camera.pose.relative_to(&first), ..camera };
-                (cameras.into_iter().map(relative).collect(), Some(first))
+                (cameras.iter().map(|camera| camera.relative_to(&first)).collect(), Some(first))
             }
             _ => (cameras, None),
         }
@@ -137,13 +136,12 @@ impl Seeing {
         Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos, source_side: None }
     }
 
-    /// Scales a photo with its camera down to [`Seeing::source_side`].
     pub fn source(self, photo: Image, camera: Camera, label: &str) -> Result<(Image, Camera)> {
         let side = photo.width.min(photo.height);
         let Some(source) = self.source_side.filter(|source| *source < side) else { return Ok((photo, camera)) };
         let scaled = |length: u32| (f64::from(length) * f64::from(source) / f64::from(side)).round() as u32;
         let View { image, map } = Filter::Bilinear.whole(&photo, scaled(photo.width), scaled(photo.height))?;
-        let camera = seen_through(&camera, &map, label)?;
+        let camera = map.camera(&camera, label)?;
         Ok((image, camera))
     }
 
@@ -175,12 +173,6 @@ impl Views {
                 note + hint
             }),
         };
-        let here = |camera: Camera| Camera { pose: camera.pose.relative_to(world), ..camera };
-        Self { images, cameras: cameras.into_iter().map(here).collect(), note }
+        Self { images, cameras: cameras.iter().map(|camera| camera.relative_to(world)).collect(), note }
     }
-}
-
-pub fn seen_through(camera: &Camera, map: &PixelMap, label: &str) -> Result<Camera> {
-    camera.validate(label)?;
-    Ok(Camera { intrinsics: map.apply(&camera.intrinsics, label)?, ..*camera })
 }

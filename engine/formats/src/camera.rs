@@ -134,6 +134,11 @@ impl Camera {
         Self { pose: Pose { rotation: pose.rotation * self.pose.rotation, translation }, ..*self }
     }
 
+    /// Returns the camera in a world where `pose` is the identity.
+    pub fn relative_to(&self, pose: &Pose) -> Self {
+        Self { pose: self.pose.relative_to(pose), ..*self }
+    }
+
     /// Returns a world point's pixel coordinates and depth, if it is in the picture.
     pub fn project(&self, point: DVec3) -> Option<DVec3> {
         let (i, p) = (&self.intrinsics, self.pose.inverse().transform(point));

@@ -20,6 +20,7 @@ mod points;
 pub mod poses;
 pub mod preprocess;
 pub mod resample;
+mod scalar;
 mod scene;
 mod scene_file;
 mod sh_rotation;

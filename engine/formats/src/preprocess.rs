@@ -78,6 +78,15 @@ impl PixelMap {
         })
     }
 
+    /// Maps a camera of the photo, in any resolution, to the result.
+    ///
+    /// # Errors
+    /// Those of [`Camera::validate`] and [`PixelMap::apply`] with `label`.
+    pub fn camera(&self, camera: &Camera, label: &str) -> Result<Camera> {
+        camera.validate(label)?;
+        Ok(Camera { intrinsics: self.apply(&camera.intrinsics, label)?, ..*camera })
+    }
+
     /// Maps intrinsics of the result to the photo.
     pub fn undo(&self, result: &Intrinsics) -> Intrinsics {
         let ([width, height], [sx, sy], [x, y]) = (self.from, self.scale, self.offset);
@@ -89,10 +98,7 @@ impl PixelMap {
 /// Maps cameras of whole photos to views, relative to the first view's camera.
 pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
-        let label = format!("camera {i}");
-        camera.validate(&label)?;
-        let intrinsics = view.map.apply(&camera.intrinsics, &label)?;
-        Ok(Camera { intrinsics, pose: camera.pose.relative_to(&cameras[0].pose) })
+        Ok(view.map.camera(camera, &format!("camera {i}"))?.relative_to(&cameras[0].pose))
     };
     cameras.iter().zip(views).enumerate().map(of_view).collect()
 }

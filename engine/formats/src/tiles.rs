@@ -25,11 +25,10 @@ pub fn tile_count(width: u32, height: u32) -> usize {
 /// Those of [`PixelMap::apply`] with `label`; [`Error::Argument`] if `side` is 0.
 pub fn tiles(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result<Vec<(Image, Camera)>> {
     photo.validate()?;
-    camera.validate(label)?;
     if side == 0 {
         return Err(Error::argument("side of the squares", side, "at least 1"));
     }
-    let lens = PixelMap::identity(photo).apply(&camera.intrinsics, label)?;
+    let lens = PixelMap::identity(photo).camera(camera, label)?.intrinsics;
     let fine = f64::from(side * SAMPLES) / f64::from(photo.width.min(photo.height));
     let small = |length: u32| ((f64::from(length) * fine.min(1.0)).round() as u32).max(1);
     let photo = &resize_lanczos(photo, small(photo.width), small(photo.height))?;

@@ -1,21 +1,20 @@
 use crate::types::{Camera, Intrinsics, preprocess::PixelMap};
 use std::collections::BTreeSet;
 
+/// A view with the map from its photo, the number of its lens, and a weight.
+pub(crate) type LensView<'a> = (&'a mut Camera, &'a PixelMap, usize, f64);
+
 /// Sets one focal length per lens, the weighted median of the cameras' geometric means.
-///
-/// `maps` relate views to photos; `lenses` indexes each photo's lens.
-pub fn share_focal_lengths(cameras: &mut [Camera], maps: &[PixelMap], lenses: &[usize], weights: &[f64]) {
-    for lens in lenses.iter().collect::<BTreeSet<_>>() {
-        let of_lens: Vec<usize> = (0..cameras.len()).filter(|&i| lenses[i] == *lens).collect();
-        let of_photo = |&i: &usize| {
-            let (Intrinsics { fx, fy, .. }, [sx, sy]) = (cameras[i].intrinsics, maps[i].scale);
-            ((fx / sx * fy / sy).sqrt(), weights[i])
+pub(crate) fn share_focal_lengths(mut views: Vec<LensView<'_>>) {
+    for shared in views.iter().map(|(_, _, lens, _)| *lens).collect::<BTreeSet<_>>() {
+        let of_photo = |(camera, map, _, weight): &LensView<'_>| {
+            let (Intrinsics { fx, fy, .. }, [sx, sy]) = (camera.intrinsics, map.scale);
+            ((fx / sx * fy / sy).sqrt(), *weight)
         };
-        let mut focals: Vec<(f64, f64)> = of_lens.iter().map(of_photo).collect();
+        let mut focals: Vec<_> = views.iter().filter(|(_, _, lens, _)| *lens == shared).map(of_photo).collect();
         let Some(focal) = weighted_median(&mut focals) else { continue };
-        for i in of_lens {
-            let [sx, sy] = maps[i].scale;
-            (cameras[i].intrinsics.fx, cameras[i].intrinsics.fy) = (focal * sx, focal * sy);
+        for (camera, map, ..) in views.iter_mut().filter(|(_, _, lens, _)| *lens == shared) {
+            [camera.intrinsics.fx, camera.intrinsics.fy] = map.scale.map(|scale| focal * scale);
         }
     }
 }
@@ -46,7 +45,8 @@ mod tests {
         let map = |scale: [f64; 2]| PixelMap { from: [40, 30], to: [40, 30], scale, offset: [0.0; 2] };
         let maps = [map([1.0; 2]), map([0.5, 1.0]), map([1.0, 0.25]), map([1.0; 2])];
         let mut cameras = [camera(32.0, 50.0), camera(200.0, 400.0), camera(38.0, 9.5), camera(7.0, 8.0)];
-        share_focal_lengths(&mut cameras, &maps, &[4, 4, 4, 9], &[1.0, 1.1, 1.2, 0.0]);
+        let views = cameras.iter_mut().zip(&maps).zip([(4, 1.0), (4, 1.1), (4, 1.2), (9, 0.0)]);
+        share_focal_lengths(views.map(|((camera, map), (lens, weight))| (camera, map, lens, weight)).collect());
         assert_eq!(cameras, [camera(40.0, 40.0), camera(20.0, 40.0), camera(40.0, 10.0), camera(7.0, 8.0)]);
         let mut values = [(3.0, 1.0), (1.0, 1.0), (2.0, 5.0)];
         assert_eq!(weighted_median(&mut values), Some(2.0));

@@ -10,7 +10,7 @@ mod rays;
 mod scale;
 
 pub use decoded::{camera_to_world, decoded_camera};
-pub use focal::share_focal_lengths;
+pub(crate) use focal::share_focal_lengths;
 pub use rays::RayMap;
 pub use scale::scale_between;
 

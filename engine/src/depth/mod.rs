@@ -10,5 +10,5 @@ mod points;
 pub use gaussians::pixel_gaussians;
 pub use model::{DepthModel, DepthOptions};
 pub use network::{DepthNetwork, DepthShape, DepthTensors};
-pub use output::{DepthMap, DepthPrediction, METRIC_FOCAL};
+pub use output::{CameraSource, DepthMap, DepthPrediction, METRIC_FOCAL};
 pub use pixels::add_view;

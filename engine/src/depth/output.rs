@@ -1,13 +1,22 @@
 use crate::{
     Error, Result,
-    cameras::{CameraEstimate, RayMap, camera_to_world, decoded_camera, scale_between},
+    cameras::{CameraEstimate, RayMap, camera_to_world, decoded_camera, scale_between, share_focal_lengths},
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
         heads::{CameraTensors, HeadTensors, ViewTensors},
     },
-    types::Camera,
+    types::{Camera, preprocess::PixelMap},
 };
+
+/// Source of estimated cameras.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraSource {
+    /// The camera decoder.
+    Decoder,
+    /// The rays of all pixels, principal point included. Inconsistent rays give no camera.
+    Rays,
+}
 
 /// Outputs of all views.
 #[derive(Clone, Debug)]
@@ -115,6 +124,31 @@ impl DepthPrediction {
             Ok(rays.camera([self.width, self.height]))
         };
         self.views.iter().map(camera).collect()
+    }
+
+    /// Estimates cameras; each view may fail. Views of equal `lenses`, if any, share a focal
+    /// length, the median weighted by confidence; `maps` are those of their photos.
+    ///
+    /// # Errors
+    /// Those of [`DepthPrediction::cameras`] or [`DepthPrediction::cameras_of_rays`].
+    pub fn estimate_cameras(
+        &self,
+        source: CameraSource,
+        maps: &[PixelMap],
+        lenses: Option<&[usize]>,
+    ) -> Result<Vec<Result<Camera>>> {
+        let mut found: Vec<Result<Camera>> = match source {
+            CameraSource::Decoder => self.cameras()?.into_iter().map(Ok).collect(),
+            CameraSource::Rays => self.cameras_of_rays()?.into_iter().map(|found| Ok(found?.camera)).collect(),
+        };
+        if let Some(lenses) = lenses {
+            let views = found.iter_mut().zip(maps).zip(lenses).zip(&self.views);
+            let posed = views.filter_map(|(((camera, map), lens), view)| {
+                Some((camera.as_mut().ok()?, map, *lens, view.mean_confidence()))
+            });
+            share_focal_lengths(posed.collect());
+        }
+        Ok(found)
     }
 }
 

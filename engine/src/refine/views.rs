@@ -34,8 +34,7 @@ impl View {
 
 pub(super) fn resized(i: usize, camera: &Camera, from: [u32; 2], size: [u32; 2]) -> Result<Camera> {
     check_camera(i, camera)?;
-    let intrinsics = PixelMap::resized(from, size).apply(&camera.intrinsics, &format!("camera {i}"))?;
-    Ok(Camera { intrinsics, ..*camera })
+    PixelMap::resized(from, size).camera(camera, &format!("camera {i}"))
 }
 
 /// Returns the size of a photo that fits `most`, with its sides divided by `factor`.

@@ -12,7 +12,7 @@ use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::backbone::{patchify::Images, positions};
 use zipsplat_tests::reference::forward::Taps;
-use zipsplat_tests::reference::model::{Scope, Weights};
+use zipsplat_tests::reference::model::Scope;
 use zipsplat_tests::reference::vggt::{self, Sizes};
 
 /// All configurations, whatever their seed.
@@ -21,15 +21,6 @@ fn goldens() -> impl Iterator<Item = Golden> {
     let of_network =
         move |file: &String| !file.contains(".weights.") && !others.iter().any(|name| file.starts_with(name));
     golden::list("vggt_").into_iter().filter(of_network).filter_map(|file| Golden::open(&file))
-}
-
-fn values(checkpoint: &DepthCheckpoint) -> Weights {
-    let parameter = |(name, shape): &(String, Vec<usize>)| {
-        let mut values = vec![0.0; shape.iter().product()];
-        checkpoint.read_f32(name, &mut values).unwrap();
-        (name.clone(), (shape.clone(), values))
-    };
-    checkpoint.parameters().iter().map(parameter).collect()
 }
 
 fn sizes(a: &DepthArchitecture) -> Sizes {
@@ -55,7 +46,7 @@ fn world_point(values: &[f64]) -> ([f64; 3], f64) {
 
 fn check_reference(golden: &Golden) {
     let a = architecture(config(golden));
-    let weights = values(&DepthCheckpoint::seeded(a.clone(), config(golden)).unwrap());
+    let weights = network::weights(&DepthCheckpoint::seeded(a.clone(), config(golden)).unwrap()).unwrap();
     // PyTorch's input was f64.
     let values = golden.u8("in/images_u8").iter().map(|&byte| f64::from(byte) / 255.0).collect();
     let images = Images { values, ..Images::from_u8(&[], golden.shape("in/images_u8")) };

@@ -6,8 +6,7 @@ use zipsplat::{
     reconstruct::{Network, Shape},
 };
 use zipsplat_tests::prelude::*;
-use zipsplat_tests::reference::model::{Architecture as Sizes, Model as Reference};
-use zipsplat_tests::reference::{backbone::patchify::Images, forward};
+use zipsplat_tests::reference::forward;
 
 fn architecture() -> Architecture {
     architectures::vggt_micro()
@@ -18,44 +17,13 @@ fn model(arithmetic: Arithmetic) -> Model {
     Model::from_checkpoint_with(device(), &checkpoint, arithmetic, |_| ControlFlow::Continue(())).unwrap()
 }
 
-fn reference() -> Reference {
-    let (a, checkpoint) = (architecture(), Checkpoint::seeded_architecture(architecture(), "micro").unwrap());
-    let parameter = |(name, shape): &(String, Vec<usize>)| {
-        let mut values = vec![0.0; shape.iter().product()];
-        checkpoint.read_f32(name, &mut values).unwrap();
-        (name.clone(), (shape.clone(), values))
-    };
-    let sizes = Sizes {
-        patch: a.patch_size,
-        width: a.width,
-        depth: a.depth,
-        heads: a.heads,
-        alt_start: a.alt_start,
-        rope_start: a.rope_start,
-        out_layers: a.out_layers.clone(),
-        camera_blocks: 0,
-        camera_heads: 0,
-        fusion_heads: a.fusion_heads,
-        color_width: a.color_width,
-        color_heads: a.color_heads,
-        gaussians: a.gaussians_per_token,
-        sh_degree: a.sh_degree,
-    };
-    Reference { architecture: sizes, weights: checkpoint.parameters().iter().map(parameter).collect() }
-}
-
-fn planes(images: &[Image]) -> Images {
-    let planes = images.iter().flat_map(|image| (0..3).flat_map(|c| image.rgb[c..].iter().step_by(3).copied()));
-    let shape = [images.len(), 3, images[0].height as usize, images[0].width as usize];
-    Images::from_u8(&planes.collect::<Vec<_>>(), &shape)
-}
-
 #[test]
 fn the_decoder_on_vggt_is_the_reference() {
     let images = pictures(3, [70, 42]);
-    let (reference, chosen) = (reference(), vec![44, 0, 12, 30, 7]);
+    let checkpoint = Checkpoint::seeded_architecture(architecture(), "micro").unwrap();
+    let (reference, chosen) = (network::model(&checkpoint).unwrap(), vec![44, 0, 12, 30, 7]);
     for side in [1, 2] {
-        let tokens = forward::tokens(&reference, &planes(&images), None, side);
+        let tokens = forward::tokens(&reference, &network::images(&images), None, side);
         let truth = forward::gaussians(&reference, &tokens, &chosen);
         for arithmetic in [Arithmetic::EXACT].into_iter().chain(fast_arithmetics()) {
             let (model, selection) = (model(arithmetic), TokenSelection::Given(chosen.clone()));

@@ -87,7 +87,7 @@ impl Descent {
 
     /// Returns the loss and its gradient at (w, v) = 0, where the pose is pose o (exp(w^), v).
     pub fn gradient(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<(f64, [f64; 6])> {
-        let frame = renderer.render(&[self.camera], &SEEN)?.remove(0);
+        let frame = renderer.render(&[self.camera], &with_alpha())?.remove(0);
         let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());
         let (mut loss, mut d_frames) = weighted_difference(&rgb, &alpha, &self.truth);
         if let Some(lpips) = lpips {
@@ -107,17 +107,9 @@ impl Descent {
     }
 }
 
-const SEEN: RenderOptions = RenderOptions {
-    rgb: true,
-    alpha: true,
-    depth: None,
-    normals: false,
-    token_group: None,
-    background: [0.0; 3],
-    antialiased: None,
-    near: None,
-    layout: None,
-};
+fn with_alpha() -> RenderOptions {
+    RenderOptions { alpha: true, ..RenderOptions::default() }
+}
 
 /// Mean absolute difference, and its gradient `[pixels, 4]` by red, green, blue and alpha.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
@@ -170,11 +162,11 @@ impl Backward {
         let (shape, capacity) = (FrameShape { cameras: 1, width, height }, intersections + intersections / 4 + 1024);
         let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", 1);
-        let d_frames = rec.input::<f32>("d_frames", SEEN.channels() * width as usize * height as usize);
+        let d_frames = rec.input::<f32>("d_frames", with_alpha().channels() * width as usize * height as usize);
         let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1);
         rec.fill(d_cameras, 0);
         let gradients = Gradients { scene: None, cameras: Some(d_cameras) };
-        let (tensors, options) = (scene.tensors(), scene.fill_in(&SEEN));
+        let (tensors, options) = (scene.tensors(), scene.fill_in(&with_alpha()));
         let given = |_: &mut Recorder, _: Tensor| d_frames;
         let (outputs, _) =
             record_with_gradients(&mut rec, tensors, cameras, shape, &options, capacity, given, &gradients);

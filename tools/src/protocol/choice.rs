@@ -57,7 +57,6 @@ impl Setting {
         }
     }
 
-    /// Selects the frames of a scene; `None` if an index file lacks it.
     pub fn choose(&self, scene: &str, poses: Capture, targets: usize) -> Result<Option<Choice>> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         let gap = match &self.rule {

@@ -93,7 +93,6 @@ impl Protocol {
 }
 
 impl Place {
-    /// Reads cameras and photos. `distorted` ignores lens distortion.
     pub fn read(&self, distorted: bool) -> Result<Capture> {
         let mut poses = Capture::open(&self.cameras)?;
         for frame in &mut poses.frames {

@@ -69,7 +69,6 @@ pub fn checkpoint(
     Ok(RefineCheckpoint { path: path.into(), interval: INTERVAL, photos: digest(&parts) })
 }
 
-/// Removes the checkpoint of a scene that is written.
 pub fn remove_checkpoint(request: &RefineOptions) {
     if let Some(checkpoint) = &request.checkpoint {
         std::fs::remove_file(&checkpoint.path).ok();

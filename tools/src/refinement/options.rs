@@ -199,7 +199,6 @@ impl RefineSettings {
         Ok(largest.map_or([width, height], |(width, height)| [width, height]))
     }
 
-    /// Opens the photos' depth, if given, as [`KnownDepth::open`].
     pub fn known_depth(
         &self,
         session: &mut Session<'_>,

@@ -217,7 +217,6 @@ impl<'a> Session<'a> {
         self.code
     }
 
-    /// Prints a note unless `--quiet`; JSON results list it as a warning.
     pub fn note(&mut self, text: impl Display) {
         let text = text.to_string();
         if !self.global.quiet {
@@ -230,7 +229,6 @@ impl<'a> Session<'a> {
         texts.into_iter().for_each(|text| self.note(text));
     }
 
-    /// Asks on standard error and reads a line of standard input.
     pub fn ask(&mut self, question: &str) -> Result<String> {
         let asked = write!(self.terminal.err, "{question}").and_then(|()| self.terminal.err.flush());
         asked.map_err(|error| Error::io("standard error", error))?;
@@ -262,7 +260,6 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Seconds by stage, for results.
 pub fn stage_seconds(times: &[(impl ToString, Duration)]) -> serde_json::Value {
     times.iter().map(|(stage, took)| (stage.to_string(), serde_json::json!(took.as_secs_f64()))).collect()
 }

@@ -14,7 +14,6 @@ use std::{
 };
 use zipsplat::{Error, Result, gpu::Progress};
 
-/// Delay before progress is shown.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Delay before the first progress line off a terminal.
 pub(super) const FIRST_LINE: Duration = Duration::from_secs(5);
@@ -71,7 +70,6 @@ impl<'a> Stage<'a> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Shows the engine's progress.
     pub fn follow(&self, progress: Progress<'_>) -> ControlFlow<()> {
         self.name(progress.scope);
         self.at(progress.fraction)

@@ -87,7 +87,6 @@ pub fn input_cameras(
     Ok((poses.frames.into_iter().map(camera).collect(), poses.warnings))
 }
 
-/// Mean up direction, assuming upright photos on average.
 pub fn vertical(cameras: &[InputCamera]) -> Option<[f64; 3]> {
     let up = cameras.iter().map(|camera| -DVec3::from(camera.matrix.map(|row| row[1]))).sum::<DVec3>();
     up.try_normalize().map(DVec3::into)

@@ -18,8 +18,8 @@ use std::{
     ptr::null,
 };
 use zipsplat::{
-    Camera, DepthMap, DepthModel, DepthOptions, DepthPrediction, Error, Image, Precision, Progress,
-    cameras::share_focal_lengths,
+    Camera, DepthMap, DepthModel, DepthOptions, DepthPrediction, Image, Precision, Progress,
+    depth::CameraSource,
     tune::KernelChoice,
     types::{
         bounded_views,
@@ -175,7 +175,8 @@ pub unsafe extern "C" fn zs_depth_predict(
         // SAFETY: the caller's arguments.
         let (zs_depth_model { model, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         check_view_count(image_count)?;
-        let by_rays = meaning("camera_source", options.camera_source, "zs_camera_source", [false, true])?;
+        let sources = [CameraSource::Decoder, CameraSource::Rays];
+        let source = meaning("camera_source", options.camera_source, "zs_camera_source", sources)?;
         let shares_focal = !flag("per_view_focal", options.per_view_focal)?;
         // SAFETY: the caller's arrays.
         let (images, known) = unsafe {
@@ -190,7 +191,9 @@ pub unsafe extern "C" fn zs_depth_predict(
         let input_size = Some(options.input_size).filter(|size| *size > 0);
         let views = bounded_views(image_count, photo, model.architecture().fitting(), input_size)?;
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
-        let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
+        let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| view.map.camera(camera, &format!("camera {i}"));
+        let of_views: Vec<Camera> = known.iter().zip(&views).enumerate().map(of_view).collect::<Result<_, _>>()?;
+        let known_cameras = (!known.is_empty()).then_some(of_views);
         let request = DepthOptions { cameras: known_cameras.clone(), ..DepthOptions::default() };
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |now: Progress<'_>| reporter.fraction(now.scope, now.fraction);
@@ -204,7 +207,14 @@ pub unsafe extern "C" fn zs_depth_predict(
                 known_cameras.into_iter().map(Some).collect()
             }
             None if !model.architecture().multi_view() => vec![None; images.len()],
-            None => found_cameras(&depths, &views, by_rays, shares_focal)?,
+            None => {
+                let maps: Vec<PixelMap> = views.iter().map(|view| view.map).collect();
+                // Photos of equal size share a lens.
+                let lens = |map: &PixelMap| maps.iter().position(|other| other.from == map.from).unwrap_or_default();
+                let lenses = shares_focal.then(|| maps.iter().map(lens).collect::<Vec<_>>());
+                let found = depths.estimate_cameras(source, &maps, lenses.as_deref())?;
+                found.into_iter().map(Result::ok).collect()
+            }
         };
         let pair = |(camera, view): (&Option<Camera>, &View)| {
             let camera = camera.as_ref()?;
@@ -286,40 +296,4 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
 pub unsafe extern "C" fn zs_depth_result_destroy(depths: *mut zs_depth_result) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(depths) }
-}
-
-fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
-    let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
-        let label = format!("camera {i}");
-        camera.validate(&label)?;
-        Ok(Camera { intrinsics: view.map.apply(&camera.intrinsics, &label)?, ..*camera })
-    };
-    cameras.iter().zip(views).enumerate().map(of_view).collect()
-}
-
-fn found_cameras(
-    depths: &DepthPrediction,
-    views: &[View],
-    by_rays: bool,
-    shared: bool,
-) -> Result<Vec<Option<Camera>>, Error> {
-    let found: Vec<Option<Camera>> = if by_rays {
-        depths.cameras_of_rays()?.into_iter().map(|found| Some(found.ok()?.camera)).collect()
-    } else {
-        depths.cameras()?.into_iter().map(Some).collect()
-    };
-    let posed: Vec<usize> = (0..views.len()).filter(|&i| found[i].is_some()).collect();
-    let mut cameras: Vec<Camera> = found.iter().flatten().copied().collect();
-    if shared {
-        let maps: Vec<PixelMap> = posed.iter().map(|&i| views[i].map).collect();
-        // Photos of equal size share a lens.
-        let size = |i: &usize| views.iter().position(|view| view.map.from == views[*i].map.from).unwrap_or(*i);
-        let weights: Vec<f64> = posed.iter().map(|&i| depths.views[i].mean_confidence()).collect();
-        share_focal_lengths(&mut cameras, &maps, &posed.iter().map(size).collect::<Vec<_>>(), &weights);
-    }
-    let mut all = vec![None; views.len()];
-    for (i, camera) in posed.into_iter().zip(cameras) {
-        all[i] = Some(camera);
-    }
-    Ok(all)
 }

@@ -1,4 +1,4 @@
-//! Implements the C interface, which `zipsplat.h` documents.
+//! Implements the C interface, which `zipsplat.h` documents; `tests/abi/header.rs` compares them.
 //!
 //! Entry points run inside `status::guard`, which catches panics and stores the thread's message.
 //! Enumerations and booleans arrive as integers and are checked. "SAFETY: the caller's arguments"

@@ -252,8 +252,7 @@ impl ModelTokens {
         progress: ProgressFunction<'_>,
     ) -> Result<RefineResult, Error> {
         let pose = world.unwrap_or(Pose::IDENTITY);
-        let camera = |camera: &Camera| Camera { pose: camera.pose.relative_to(&pose), ..*camera };
-        let cameras: Vec<Camera> = cameras.iter().map(camera).collect();
+        let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.relative_to(&pose)).collect();
         let mut refined = refine_tokens(arena, &self.head, &self.tokens, photos, &cameras, options, progress)?;
         if let Some(pose) = world {
             refined.scene.place(1.0, &pose);

@@ -17,7 +17,7 @@ use std::{
 use zipsplat::{
     Depth, RenderOptions, RenderOutput, Renderer, Scene,
     features::FeatureRenderer,
-    stages::render::{Differentiator, MAX_SIDE},
+    stages::render::{Differentiator, check_camera},
 };
 
 pub struct zs_renderer {
@@ -190,12 +190,8 @@ pub unsafe extern "C" fn zs_render(
         let format = options.checked()?;
         let mut strides = Vec::with_capacity(count);
         for (i, (camera, picture)) in cameras.iter().zip(&pictures).enumerate() {
-            camera.validate(&format!("camera {i}"))?;
+            check_camera(i, camera)?;
             let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-            if width.max(height) > MAX_SIDE {
-                let (found, expected) = (format!("{width} x {height}"), format!("sides up to {MAX_SIDE}"));
-                return Err(Failure::argument(format!("size of camera {i}"), found, expected));
-            }
             let row_bytes = width as usize * format.bytes();
             let name = format!("picture {i}, stride");
             strides.push(checked_stride(picture.stride, row_bytes, height, &name)?);

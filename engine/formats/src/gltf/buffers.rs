@@ -6,6 +6,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{Document, Parsed, document::Buffer};
 use crate::file::read_file;
+use crate::scalar::Scalar;
 use crate::{Error, Result};
 
 pub(super) struct Buffers<'a> {
@@ -77,7 +78,7 @@ impl<'a> Buffers<'a> {
             let sparse = if accessor.sparse.is_some() { "sparse " } else { "" };
             return Err(fail(format!("found {sparse}{}, expected {shape}, not sparse", accessor.shape)).into());
         }
-        let scalar = Scalar::of(accessor.component_type).ok_or_else(|| {
+        let scalar = component(accessor.component_type).ok_or_else(|| {
             fail(format!("found component type {}, expected 5120 to 5123 or 5126", accessor.component_type))
         })?;
         let view = accessor.buffer_view.and_then(|view| document.buffer_views.get(view));
@@ -93,7 +94,10 @@ impl<'a> Buffers<'a> {
         }
         let value = |i: usize| {
             let value = &bytes[i * stride..][..size];
-            std::array::from_fn(|c| scalar.read(&value[c * scalar.size()..], accessor.normalized))
+            std::array::from_fn(|c| {
+                let number = scalar.read(&value[c * scalar.size()..]);
+                if accessor.normalized { normalized(scalar, number) } else { number }
+            })
         };
         Ok((0..accessor.count).map(value).collect())
     }
@@ -120,54 +124,25 @@ fn beside(uri: &str) -> Option<PathBuf> {
     (!uri.contains(':') && path.components().all(inside) && path.file_name().is_some()).then_some(path)
 }
 
-#[derive(Clone, Copy)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    F32,
+fn component(code: u32) -> Option<Scalar> {
+    Some(match code {
+        5120 => Scalar::I8,
+        5121 => Scalar::U8,
+        5122 => Scalar::I16,
+        5123 => Scalar::U16,
+        5126 => Scalar::F32,
+        _ => return None,
+    })
 }
 
-impl Scalar {
-    fn of(code: u32) -> Option<Self> {
-        Some(match code {
-            5120 => Self::I8,
-            5121 => Self::U8,
-            5122 => Self::I16,
-            5123 => Self::U16,
-            5126 => Self::F32,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::F32 => 4,
-        }
-    }
-
-    fn one(self) -> f32 {
-        match self {
-            Self::I8 => f32::from(i8::MAX),
-            Self::U8 => f32::from(u8::MAX),
-            Self::I16 => f32::from(i16::MAX),
-            Self::U16 => f32::from(u16::MAX),
-            Self::F32 => 1.0,
-        }
-    }
-
-    fn read(self, bytes: &[u8], normalized: bool) -> f32 {
-        let two = || [bytes[0], bytes[1]];
-        let value = match self {
-            Self::I8 => f32::from(bytes[0] as i8),
-            Self::U8 => f32::from(bytes[0]),
-            Self::I16 => f32::from(i16::from_le_bytes(two())),
-            Self::U16 => f32::from(u16::from_le_bytes(two())),
-            Self::F32 => return f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]),
-        };
-        if normalized { (value / self.one()).max(-1.0) } else { value }
-    }
+/// Returns a number as a fraction of its type's largest.
+fn normalized(scalar: Scalar, value: f32) -> f32 {
+    let largest = match scalar {
+        Scalar::I8 => f32::from(i8::MAX),
+        Scalar::U8 => f32::from(u8::MAX),
+        Scalar::I16 => f32::from(i16::MAX),
+        Scalar::U16 => f32::from(u16::MAX),
+        _ => return value,
+    };
+    (value / largest).max(-1.0)
 }

@@ -10,7 +10,8 @@ use std::f32::consts::{FRAC_1_PI, SQRT_2};
 use rayon::prelude::*;
 
 use super::super::Scene;
-use super::table::{Column, Parsed, Ply, Scalar, Table};
+use super::table::{Column, Parsed, Ply, Table};
+use crate::scalar::Scalar;
 
 const CHUNK: usize = 256;
 /// Width of the coefficients' range, centered on 0.

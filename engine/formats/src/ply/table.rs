@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::ANTIALIASED;
 use crate::Error;
+use crate::scalar::{Scalar, first};
 use crate::source::Source;
 
 pub(super) const MAX_HEADER: usize = 1 << 16;
@@ -186,7 +187,8 @@ impl Table {
     pub(super) fn typed(&self, name: &str, scalar: Scalar) -> Parsed<Column> {
         let column = self.column(name)?;
         if column.scalar != scalar {
-            let reason = format!("{}, {name}: found {}, expected {}", self.name, column.scalar.name(), scalar.name());
+            let reason =
+                format!("{}, {name}: found {}, expected {}", self.name, name_of(column.scalar), name_of(scalar));
             return Err(self.fault(reason));
         }
         Ok(column)
@@ -242,9 +244,10 @@ impl Header {
                     elements.last_mut().ok_or_else(|| fault("a property before any element"))?.has_list = true;
                 }
                 ["property", scalar, name] => {
-                    let scalar = Scalar::named(scalar).ok_or_else(|| fault("unknown type"))?;
+                    let known = SCALARS.iter().find(|(_, names)| names.contains(&scalar));
+                    let (scalar, _) = known.ok_or_else(|| fault("unknown type"))?;
                     let element = elements.last_mut().ok_or_else(|| fault("a property before any element"))?;
-                    element.properties.push((name.into(), scalar));
+                    element.properties.push((name.into(), *scalar));
                 }
                 ["end_header"] => {
                     let ascii = ascii.ok_or_else(|| fault("no format line before"))?;
@@ -264,54 +267,20 @@ impl Header {
     }
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
+/// Names of scalars, in the first and in a later spelling.
+const SCALARS: [(Scalar, [&str; 2]); 8] = [
+    (Scalar::I8, ["char", "int8"]),
+    (Scalar::U8, ["uchar", "uint8"]),
+    (Scalar::I16, ["short", "int16"]),
+    (Scalar::U16, ["ushort", "uint16"]),
+    (Scalar::I32, ["int", "int32"]),
+    (Scalar::U32, ["uint", "uint32"]),
+    (Scalar::F32, ["float", "float32"]),
+    (Scalar::F64, ["double", "float64"]),
+];
 
-impl Scalar {
-    fn named(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::I8 => "char",
-            Self::U8 => "uchar",
-            Self::I16 => "short",
-            Self::U16 => "ushort",
-            Self::I32 => "int",
-            Self::U32 => "uint",
-            Self::F32 => "float",
-            Self::F64 => "double",
-        }
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
+fn name_of(scalar: Scalar) -> &'static str {
+    SCALARS.iter().find(|(known, _)| *known == scalar).map_or("", |(_, names)| names[0])
 }
 
 #[derive(Clone, Copy)]
@@ -322,23 +291,10 @@ pub(super) struct Column {
 
 impl Column {
     pub(super) fn read(self, row: &[u8]) -> f32 {
-        match self.scalar {
-            Scalar::I8 => f32::from(i8::from_le_bytes(self.bytes(row))),
-            Scalar::U8 => f32::from(row[self.offset]),
-            Scalar::I16 => f32::from(i16::from_le_bytes(self.bytes(row))),
-            Scalar::U16 => f32::from(u16::from_le_bytes(self.bytes(row))),
-            Scalar::I32 => i32::from_le_bytes(self.bytes(row)) as f32,
-            Scalar::U32 => self.word(row) as f32,
-            Scalar::F32 => f32::from_le_bytes(self.bytes(row)),
-            Scalar::F64 => f64::from_le_bytes(self.bytes(row)) as f32,
-        }
+        self.scalar.read(&row[self.offset..])
     }
 
     pub(super) fn word(self, row: &[u8]) -> u32 {
-        u32::from_le_bytes(self.bytes(row))
-    }
-
-    fn bytes<const N: usize>(self, row: &[u8]) -> [u8; N] {
-        *row[self.offset..].first_chunk().expect("columns lie within the row")
+        u32::from_le_bytes(first(&row[self.offset..]))
     }
 }

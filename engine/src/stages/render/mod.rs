@@ -36,8 +36,7 @@ pub use plan_cache::first_capacity;
 pub(crate) use plan_cache::{PlanCache, PlanKey, planned_capacity};
 pub use planned::plan_pictures;
 pub use project::{CameraRows, camera_rows};
-pub use range::MAX_SIDE;
-pub(crate) use range::check_camera;
+pub use range::{MAX_SIDE, check_camera};
 pub use renderer::Renderer;
 pub use scene::{DeviceScene, SceneMemory, SceneSource, WeakScene};
 

@@ -21,7 +21,8 @@ pub(super) fn check(cameras: &[Camera], options: &RenderOptions) -> Result<()> {
     Ok(())
 }
 
-pub(crate) fn check_camera(i: usize, camera: &Camera) -> Result<()> {
+/// Checks that pictures of camera `i` can be drawn.
+pub fn check_camera(i: usize, camera: &Camera) -> Result<()> {
     camera.validate(&format!("camera {i}"))?;
     let size = (camera.intrinsics.width, camera.intrinsics.height);
     if size.0.max(size.1) > MAX_SIDE {

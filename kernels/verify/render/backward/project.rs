@@ -176,7 +176,6 @@ impl Problem {
         [-Bounded::dot(turn, [x, y, z]), a, b, c].map(|d| by * d)
     }
 
-    /// Each Gaussian's gradients, then the camera's sum.
     fn all(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let conics = self.conics();
         let found: Vec<Found> = (0..self.scene.len()).map(|n| self.gradient(n, conics[n], fault)).collect();

@@ -78,7 +78,6 @@ pub(crate) fn tiles() -> [usize; 2] {
     [WIDTH, HEIGHT].map(|side| side.div_ceil(TILE) as usize)
 }
 
-/// Lists of all splats in every tile.
 pub(crate) struct Lists {
     pub pair_indices: Tensor,
     pub tile_offsets: Tensor,

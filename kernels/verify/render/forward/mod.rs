@@ -80,7 +80,6 @@ fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     (scene, Camera { pose, ..camera(70, 53) })
 }
 
-/// Needles `distance` pixels outside in all directions.
 fn needles_off(count: usize, distance: f64) -> Scene {
     let mut scene = scene(count, 0, |i, mean, scales, _| {
         let along = DVec3::from_array([(i as f64).cos(), (i as f64).sin(), 0.0]);

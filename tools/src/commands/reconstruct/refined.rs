@@ -9,7 +9,7 @@ use zipsplat::{
     Result,
     gpu::{Arena, Device},
     refine::{FrozenHead, RefineOptions, RefineResult},
-    types::{Camera, PointCloud, poses::CaptureView},
+    types::{Camera, PointCloud},
     weights::Checkpoint,
 };
 
@@ -52,8 +52,7 @@ impl Reconstruct {
         Posed { photos, frames, .. }: Posed<'_>,
     ) -> Result<RefinedScene> {
         let world = frames[0].camera.pose;
-        let camera = |frame: &&CaptureView| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
-        let cameras: Vec<Camera> = frames.iter().map(camera).collect();
+        let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera.relative_to(&world)).collect();
         let masks = self.finding.masks();
         let settings = &self.refine.settings;
         let known = settings.known_depth(session, (photos, frames), &cameras, 1.0)?;

@@ -31,7 +31,6 @@ use zipsplat::{
     weights::{Architecture, Checkpoint},
 };
 
-/// A checkpoint, its rounded versions and the arithmetics of a sweep.
 pub struct Networks<'a> {
     pub checkpoint: &'a Checkpoint,
     pub rounded: &'a [Rounded],
@@ -68,7 +67,6 @@ struct Forward {
     compared: Option<Compared>,
 }
 
-/// Checks every combination without a device.
 pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): Size) -> Result<()> {
     let all = architecture.gaussians_per_token;
     args.max_gaussians_per_token.iter().flatten().try_for_each(|keep| keep.of(all).map(drop))?;

@@ -8,14 +8,14 @@ use zipsplat::{
     Result,
     gpu::{Run, Tensor},
     reconstruct::{Model, ReconstructOptions, Tensors, TokenSelection},
-    types::{Camera, Image, Intrinsics, Scene},
+    types::{Image, Scene},
     weights::Checkpoint,
 };
 use zipsplat_reference::{
-    backbone::{camera_encoder::Prior, patchify::Images},
     forward::{self, Taps, Tokens},
-    model::{Architecture, Model as Reference},
+    model::Model as Reference,
 };
+use zipsplat_verify::network;
 
 /// Limit of an f64 reference: seconds on a CPU.
 pub const MOST_FLOPS: u64 = 20_000_000_000;
@@ -71,11 +71,12 @@ impl<'a> Truth<'a> {
         let images = capture.images();
         let reference = match &mut self.reference {
             Some(known) => known,
-            unknown => unknown.insert(reference(self.checkpoint)?),
+            unknown => unknown.insert(network::model(self.checkpoint)?),
         };
         let tokens = self.tokens.entry([images.len(), request.kv_pool]).or_insert_with(|| {
-            let priors = request.cameras.as_deref().map(|cameras| cameras.iter().map(prior).collect::<Vec<_>>());
-            forward::tokens(reference, &channel_major(&images), priors.as_deref(), request.kv_pool)
+            let priors =
+                request.cameras.as_deref().map(|cameras| cameras.iter().map(network::prior).collect::<Vec<_>>());
+            forward::tokens(reference, &network::images(&images), priors.as_deref(), request.kv_pool)
         });
         let known = self.known.entry((images.len(), settings.to_owned())).or_insert_with(|| {
             let taps = forward::gaussians(reference, tokens, &chosen);
@@ -131,57 +132,4 @@ fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 
         apart += (f64::from(*found) - truth).powi(2);
     }
     if count == found.len() { (apart / squares).sqrt() } else { f64::NAN }
-}
-
-fn reference(checkpoint: &Checkpoint) -> Result<Reference> {
-    let a = checkpoint.architecture();
-    let architecture = Architecture {
-        patch: a.patch_size,
-        width: a.width,
-        depth: a.depth,
-        heads: a.heads,
-        alt_start: a.alt_start,
-        rope_start: a.rope_start,
-        out_layers: a.out_layers.clone(),
-        camera_blocks: a.camera_depth,
-        camera_heads: a.camera_heads,
-        fusion_heads: a.fusion_heads,
-        color_width: a.color_width,
-        color_heads: a.color_heads,
-        gaussians: a.gaussians_per_token,
-        sh_degree: a.sh_degree,
-    };
-    let read = |(name, shape): &(String, Vec<usize>)| {
-        let mut values = vec![0.0; shape.iter().product()];
-        checkpoint.read_f32(name, &mut values)?;
-        Ok((name.clone(), (shape.clone(), values)))
-    };
-    Ok(Reference { architecture, weights: checkpoint.parameters().iter().map(read).collect::<Result<_>>()? })
-}
-
-fn prior(Camera { intrinsics, pose }: &Camera) -> Prior {
-    let Intrinsics { width, height, fx, fy, cx, cy } = *intrinsics;
-    let mut rows = [0.0; 12];
-    rows[..9].copy_from_slice(&pose.rotation.transpose().to_cols_array());
-    rows[9..].copy_from_slice(&pose.translation.to_array());
-    Prior { camera: [width.into(), height.into(), fx, fy, cx, cy], pose: rows }
-}
-
-fn channel_major(images: &[Image]) -> Images {
-    let [width, height] = images.first().map_or([0; 2], |image| [image.width, image.height].map(|side| side as usize));
-    let channels = images.iter().flat_map(|image| (0..3).flat_map(|channel| image.rgb[channel..].iter().step_by(3)));
-    let bytes: Vec<u8> = channels.copied().collect();
-    Images::from_u8(&bytes, &[images.len(), 3, height, width])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn deviations_are_relative_and_of_everything() {
-        assert_eq!(relative(&[3.0, 5.0], &[3.0, 4.0]), 0.2);
-        assert!(relative(&[3.0, f32::NAN], &[3.0, 4.0]).is_nan());
-        assert!(relative(&[3.0, 4.0], &[3.0]).is_nan());
-    }
 }
