@@ -96,11 +96,8 @@ impl DepthModel {
         let mut run = Run::in_arena(&arena, 0, plan, [self.parameters.resident.clone()])?;
         self.write_inputs(&mut run, &tensors, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        let mut patches = match (tensors.chosen, tensors.indices) {
-            (Some(chosen), _) => Some(run.read(chosen)?),
-            (None, Some(_)) => Some(options.token_selection.indices(shape.grid.tokens(), shape.tokens)),
-            (None, None) => None,
-        };
+        let (selection, all) = (&options.token_selection, shape.grid.tokens());
+        let mut patches = tensors.selected.read(&run, selection, all, shape.tokens)?;
         // Centroids may share a patch.
         patches.iter_mut().for_each(|patches| {
             patches.sort_unstable();
@@ -152,9 +149,7 @@ impl DepthModel {
             plane.iter_mut().for_each(|value| *value = (*value - MEAN[i % 3]) / DEVIATION[i % 3]);
         }
         run.write(tensors.images, &pixels)?;
-        if let Some(indices) = tensors.indices {
-            run.write(indices, &options.token_selection.indices(shape.grid.tokens(), shape.tokens))?;
-        }
+        tensors.selected.write(run, &options.token_selection, shape.grid.tokens(), shape.tokens)?;
         let cameras = options.cameras.as_deref();
         self.network.stages.backbone.write(run, &tensors.backbone, shape.grid, cameras, &self.parameters)?;
         tensors.heads.write(run, &pixels, &self.parameters)

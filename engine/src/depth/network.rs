@@ -2,8 +2,8 @@ use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
     ops::{Arithmetic, ParameterLayout},
-    reconstruct::{Ratio, TokenSampling, TokenSelection, grid},
-    stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, cluster, heads::HeadTensors},
+    reconstruct::{Ratio, SelectedTokens, TokenSampling, TokenSelection, grid},
+    stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, heads::HeadTensors},
 };
 
 /// Depth network parameters.
@@ -34,9 +34,7 @@ pub struct DepthTensors {
     pub(super) images: Tensor,
     pub(super) backbone: Vec<Tensor>,
     pub(super) heads: HeadTensors,
-    pub(super) indices: Option<Tensor>,
-    /// `[tokens]` u32, from k-means.
-    pub(super) chosen: Option<Tensor>,
+    pub(super) selected: SelectedTokens,
 }
 
 impl DepthNetwork {
@@ -86,15 +84,9 @@ impl DepthNetwork {
         let features =
             rec.scope("backbone", |rec| self.stages.backbone.record(rec, images, &backbone, grid, reference));
         let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
-        let indices = (kept != TokenSampling::All).then(|| rec.input::<u32>("indices", tokens));
-        let chosen = match (indices, kept, features.layers.last()) {
-            (Some(initial), TokenSampling::Kmeans(rounds), Some(deepest)) => Some(rec.scope("cluster", |rec| {
-                cluster::record(rec, self.parameters.nearest(), *deepest, initial, tokens, rounds)
-            })),
-            _ => None,
-        };
-        chosen.into_iter().for_each(|chosen| rec.output(chosen));
-        DepthTensors { images, backbone, heads, indices, chosen }
+        let deepest = *features.layers.last().expect("a network has output layers");
+        let selected = kept.record(rec, self.parameters.nearest(), deepest, grid, tokens);
+        DepthTensors { images, backbone, heads, selected }
     }
 
     /// Plans without a device.

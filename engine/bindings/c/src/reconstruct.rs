@@ -37,6 +37,8 @@ pub enum zs_token_selection {
     ZS_TOKEN_SELECTION_STRIDE = 1,
     /// Random, from `seed`.
     ZS_TOKEN_SELECTION_RANDOM = 2,
+    /// Fewest mutual nearest neighbors in earlier photos first.
+    ZS_TOKEN_SELECTION_MUTUAL = 3,
 }
 
 pub(super) type zs_token_selection_value = i32;
@@ -205,6 +207,7 @@ impl zs_reconstruct_options {
                 0 => TokenSelection::KMEANS,
                 1 => TokenSelection::Stride,
                 2 => TokenSelection::Random(self.seed),
+                3 => TokenSelection::MutualNearest,
                 other => return Err(Failure::argument("token_selection", other, "a zs_token_selection")),
             },
             cameras: (!cameras.is_empty()).then_some(cameras),

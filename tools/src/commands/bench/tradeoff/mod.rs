@@ -61,8 +61,8 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,0.25,0.5,0.1,0.05",
         value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
-    /// Token selections: kmeans[:ROUNDS], stride, random[:SEED]
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
+    /// Token selections: kmeans[:ROUNDS], mutual, stride, random[:SEED], files of indices
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,mutual,stride,random",
         value_parser = parse_selection)]
     token_selection: Vec<TokenSelection>,
     /// Pooling factors of attention across photos
