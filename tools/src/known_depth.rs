@@ -25,6 +25,7 @@ use zipsplat::{
     depth::DepthOptions,
     refine::{DepthKind, Photos},
     types::{Camera, Image, Intrinsics, named_after, poses::CaptureView},
+    weights::DepthHeads,
 };
 
 /// File of `depth` with the depth of all its photos.
@@ -268,7 +269,7 @@ fn predict(
     photos: &[PathBuf],
     frames: &[&CaptureView],
 ) -> Result<Vec<Option<Source>>> {
-    let (checkpoint, arithmetic) = (open_depth(network, false)?, ArithmeticOption::default());
+    let (checkpoint, arithmetic) = (open_depth(network, DepthHeads::default())?, ArithmeticOption::default());
     let options = PredictorOptions {
         checkpoint: &checkpoint,
         side: None,

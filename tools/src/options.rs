@@ -1,7 +1,7 @@
 use crate::{
     antialiasing::Antialiasing,
     depth::DEPTH_WEIGHTS,
-    released::{self, is_of_depth, open_depth},
+    released::{self, is_of_depth, open_whole_depth},
     session::Session,
 };
 use clap::{Args, ValueEnum};
@@ -41,7 +41,7 @@ impl Weights {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
                 refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
-                open_depth(weights, true).map(Network::Pixels)
+                open_whole_depth(weights).map(Network::Pixels)
             }
             _ => self.open().map(Network::Tokens),
         }
@@ -134,7 +134,7 @@ pub struct Quality {
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
     /// Selection of tokens: kmeans[:ROUNDS], mutual (nearest neighbors across views), stride,
-    /// random[:SEED], or a text file of indices
+    /// random[:SEED], or a text file of indices, whose number replaces --ratio
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub token_selection: TokenSelection,
     /// Average keys and values of cross-view attention over SxS patches, S from 1 to 4: faster,

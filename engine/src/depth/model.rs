@@ -51,7 +51,7 @@ impl DepthModel {
     /// # Errors
     /// As [`DepthCheckpoint::open`]; [`crate::Error::Memory`].
     pub fn load(device: &Device, weights: &str) -> Result<Self> {
-        let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(weights, gaussians))?;
+        let checkpoint = DepthCheckpoint::whole(|heads| DepthCheckpoint::parse(weights, heads))?;
         let KernelChoice { arithmetic, .. } = KernelChoice::of(device, None)?;
         Self::from_checkpoint(device, &checkpoint, arithmetic, |_| ControlFlow::Continue(()))
     }

@@ -2,7 +2,7 @@ use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
     ops::{Arithmetic, ParameterLayout},
-    reconstruct::{Ratio, SelectedTokens, TokenSampling, TokenSelection, grid},
+    reconstruct::{Ratio, SelectedTokens, TokenSampling, TokenSelection, grid, no_camera_encoder},
     stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, heads::HeadTensors},
 };
 
@@ -62,7 +62,7 @@ impl DepthNetwork {
         let a = &self.architecture;
         let grid = grid(a.backbone.patch_size, views, width as usize, height as usize)?;
         if cameras && a.backbone.camera.is_none() {
-            return Err(Error::argument("cameras", "some", format!("none: {} knows no cameras", a.name)));
+            return Err(Error::argument("cameras", "some", no_camera_encoder(&a.name)));
         }
         let reference = match reference {
             Some(view) if view >= views => {

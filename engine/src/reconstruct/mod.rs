@@ -10,7 +10,7 @@ mod token_selection;
 pub use features::{BackboneFeatures, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
 pub use options::{MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape};
-pub(crate) use options::{check_cameras, grid, size_of};
+pub(crate) use options::{check_cameras, grid, no_camera_encoder, size_of};
 pub use patches::Patches;
 pub use prepare::{Placement, Prepared};
 pub(crate) use token_selection::SelectedTokens;

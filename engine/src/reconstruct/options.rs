@@ -112,7 +112,7 @@ impl Shape {
     ) -> Result<Self> {
         let grid = grid(architecture.patch_size, views, width as usize, height as usize)?;
         if cameras && !architecture.takes_cameras() {
-            return Err(Error::argument("cameras", "some", format!("none: {} knows no cameras", architecture.name)));
+            return Err(Error::argument("cameras", "some", no_camera_encoder(&architecture.name)));
         }
         let (tokens, kept) = TokenSampling::of(grid, chosen)?;
         Ok(Self { grid, tokens, kept, cameras, kv_pool: 1 })
@@ -161,6 +161,11 @@ pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> 
         }
     }
     Ok(())
+}
+
+/// Expectation of a network without an input for cameras.
+pub(crate) fn no_camera_encoder(network: &str) -> String {
+    format!("none: {network} has no camera encoder; networks of ZipSplat and Depth Anything 3 have one")
 }
 
 pub(crate) fn size_of(images: &[Image]) -> Result<[u32; 2]> {
