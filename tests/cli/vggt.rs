@@ -34,7 +34,7 @@ fn vggt_gives_depth_cameras_and_scenes() {
 #[test]
 fn vggts_point_head_gives_the_points() {
     let folder = Folder::new().with_depth().with_vggt();
-    let options = "--points --input-size 42 -o @/depth --json";
+    let options = "--point-head --input-size 42 -o @/depth --json";
     let json = folder.run(&format!("depth @/photos --weights @/vggt.safetensors {options}")).json();
     let bytes = folder.read("depth/depths.safetensors");
     let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();

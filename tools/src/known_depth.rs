@@ -1,7 +1,7 @@
 //! Known depth of photos: of sensors, other programs or a depth network.
 
 use crate::{
-    depth::{CamerasFrom, PredictorOptions},
+    depth::PredictorOptions,
     lifted::values_file,
     npy,
     options::ArithmeticOption,
@@ -22,7 +22,6 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    depth::DepthOptions,
     refine::{DepthKind, Photos},
     types::{Camera, Image, Intrinsics, named_after, poses::CaptureView},
     weights::DepthHeads,
@@ -270,15 +269,7 @@ fn predict(
     frames: &[&CaptureView],
 ) -> Result<Vec<Option<Source>>> {
     let (checkpoint, arithmetic) = (open_depth(network, DepthHeads::default())?, ArithmeticOption::default());
-    let options = PredictorOptions {
-        checkpoint: &checkpoint,
-        side: None,
-        masks: None,
-        cameras: CamerasFrom::default(),
-        arithmetic: &arithmetic,
-        request: DepthOptions::default(),
-    };
-    let predicted = options.ask(session, photos, frames)?;
+    let predicted = PredictorOptions::of(&checkpoint, &arithmetic).ask(session, photos, frames)?;
     let source = |(i, frame): (usize, &&CaptureView)| {
         let label = photos[i].display().to_string();
         let intrinsics = predicted.views[i].map.apply(&frame.camera.intrinsics, &label)?;

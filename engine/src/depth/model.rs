@@ -1,9 +1,11 @@
 use super::{
     DepthNetwork, DepthShape, DepthTensors,
+    network::DepthInputs,
     output::{DepthPrediction, read},
 };
 use crate::{
     Result,
+    features::PixelValues,
     gpu::{Arena, Device, Plan, Progress, Recorder, Run},
     ops::{Arithmetic, Parameters},
     reconstruct::{Ratio, TokenSelection, check_cameras, planar, size_of},
@@ -107,6 +109,25 @@ impl DepthModel {
         Ok(DepthPrediction { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
+    /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each image.
+    pub fn patch_tokens(
+        &self,
+        images: &[Image],
+        options: &DepthOptions,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Vec<PixelValues>> {
+        let shape = self.shape(images, options)?;
+        let mut rec = Recorder::new(self.device.limits());
+        let (inputs, features) = self.network.record_features(&mut rec, shape);
+        let deepest = features.layers.last().expect("a network has output layers");
+        rec.output(deepest.tensor);
+        let (arena, _claim) = self.arena.claimed();
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone()])?;
+        self.write_photos(&mut run, &inputs, shape, images, options)?;
+        run.execute_with(progress)?;
+        Ok(PixelValues::of_patches(shape.grid, deepest.width, &run.read::<f32>(deepest.tensor)?))
+    }
+
     /// Returns the shape for these options.
     pub fn shape(&self, images: &[Image], options: &DepthOptions) -> Result<DepthShape> {
         let size = size_of(images)?;
@@ -141,6 +162,20 @@ impl DepthModel {
         images: &[Image],
         options: &DepthOptions,
     ) -> Result<()> {
+        let pixels = self.write_photos(run, &tensors.inputs, shape, images, options)?;
+        tensors.selected.write(run, &options.token_selection, shape.grid.tokens(), shape.tokens)?;
+        tensors.heads.write(run, &pixels, &self.parameters)
+    }
+
+    /// Writes the backbone's inputs. Returns the pixels as it sees them.
+    fn write_photos(
+        &self,
+        run: &mut Run,
+        inputs: &DepthInputs,
+        shape: DepthShape,
+        images: &[Image],
+        options: &DepthOptions,
+    ) -> Result<Vec<f32>> {
         let mut pixels = planar(images);
         let area = pixels.len() / (3 * images.len());
         // VGGT's backbone normalizes.
@@ -148,10 +183,9 @@ impl DepthModel {
         for (i, plane) in planes {
             plane.iter_mut().for_each(|value| *value = (*value - MEAN[i % 3]) / DEVIATION[i % 3]);
         }
-        run.write(tensors.images, &pixels)?;
-        tensors.selected.write(run, &options.token_selection, shape.grid.tokens(), shape.tokens)?;
+        run.write(inputs.images, &pixels)?;
         let cameras = options.cameras.as_deref();
-        self.network.stages.backbone.write(run, &tensors.backbone, shape.grid, cameras, &self.parameters)?;
-        tensors.heads.write(run, &pixels, &self.parameters)
+        self.network.stages.backbone.write(run, &inputs.backbone, shape.grid, cameras, &self.parameters)?;
+        Ok(pixels)
     }
 }

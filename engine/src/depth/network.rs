@@ -3,7 +3,7 @@ use crate::{
     gpu::{Limits, Plan, Recorder, Tensor},
     ops::{Arithmetic, ParameterLayout},
     reconstruct::{Ratio, SelectedTokens, TokenSampling, TokenSelection, grid, no_camera_encoder},
-    stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, heads::HeadTensors},
+    stages::{DepthArchitecture, DepthFeatures, DepthStages, Reference, ViewGrid, heads::HeadTensors},
 };
 
 /// Depth network parameters.
@@ -28,11 +28,15 @@ pub struct DepthShape {
     pub kept: TokenSampling,
 }
 
+pub(super) struct DepthInputs {
+    /// `[views, 3, height, width]` f32.
+    pub images: Tensor,
+    pub backbone: Vec<Tensor>,
+}
+
 /// Inputs and outputs.
 pub struct DepthTensors {
-    /// `[views, 3, height, width]` f32.
-    pub(super) images: Tensor,
-    pub(super) backbone: Vec<Tensor>,
+    pub(super) inputs: DepthInputs,
     pub(super) heads: HeadTensors,
     pub(super) selected: SelectedTokens,
 }
@@ -78,15 +82,21 @@ impl DepthNetwork {
 
     /// Records a plan.
     pub fn record(&self, rec: &mut Recorder, shape: DepthShape) -> DepthTensors {
-        let DepthShape { grid, cameras, reference, tokens, kept } = shape;
+        let DepthShape { grid, tokens, kept, .. } = shape;
+        let (inputs, features) = self.record_features(rec, shape);
+        let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
+        let deepest = *features.layers.last().expect("a network has output layers");
+        let selected = kept.record(rec, self.parameters.nearest(), deepest, grid, tokens);
+        DepthTensors { inputs, heads, selected }
+    }
+
+    pub(super) fn record_features(&self, rec: &mut Recorder, shape: DepthShape) -> (DepthInputs, DepthFeatures) {
+        let DepthShape { grid, cameras, reference, .. } = shape;
         let images = rec.input::<f32>("images", grid.values());
         let backbone = self.stages.backbone.inputs(rec, grid, cameras);
         let features =
             rec.scope("backbone", |rec| self.stages.backbone.record(rec, images, &backbone, grid, reference));
-        let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
-        let deepest = *features.layers.last().expect("a network has output layers");
-        let selected = kept.record(rec, self.parameters.nearest(), deepest, grid, tokens);
-        DepthTensors { images, backbone, heads, selected }
+        (DepthInputs { images, backbone }, features)
     }
 
     /// Plans without a device.

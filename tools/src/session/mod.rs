@@ -119,7 +119,21 @@ impl<'a> Session<'a> {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
 
-    pub fn names_device(&self) -> bool {
+    /// Returns the device to plan for, or none for an ordinary one.
+    pub fn planned_device(&mut self) -> Result<Option<Device>> {
+        if self.plans_for_none() {
+            return Ok(None);
+        }
+        match self.device() {
+            Err(Error::NoDevice(why)) if !self.names_device() => {
+                self.note(format!("planned for an ordinary device: {why}"));
+                Ok(None)
+            }
+            found => found.map(Some),
+        }
+    }
+
+    fn names_device(&self) -> bool {
         self.global.device.is_some()
     }
 

@@ -39,6 +39,7 @@ pub use project::{CameraRows, camera_rows};
 pub use range::MAX_SIDE;
 pub(crate) use range::check_camera;
 pub use renderer::Renderer;
+pub(crate) use scene::used_degree;
 pub use scene::{DeviceScene, SceneMemory, SceneSource, WeakScene};
 
 #[derive(Clone, Copy, Debug)]

@@ -72,7 +72,7 @@ pub struct Depth {
     /// Also run VGGT's point head, whose world points and confidence depths.safetensors and
     /// points.ply then have
     #[arg(long)]
-    points: bool,
+    point_head: bool,
     /// Photo whose camera is the world, counted from 0 [default: the network's choice]
     #[arg(long, value_name = "N")]
     reference_view: Option<usize>,
@@ -101,7 +101,7 @@ const POINTS: &str = "points.ply";
 
 impl Depth {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let checkpoint = open_depth(&self.weights, DepthHeads { points: self.points, ..DepthHeads::default() })?;
+        let checkpoint = open_depth(&self.weights, DepthHeads { points: self.point_head, ..DepthHeads::default() })?;
         let place = self.output.join(CAMERAS);
         let (no_masks, named_in) = (MaskArgs::default(), Some((&*place, self.overwrite)));
         let unposed = self.cameras.is_none().then_some(&no_masks);
@@ -111,14 +111,8 @@ impl Depth {
         self.check(&files)?;
         let truth = self.ground_truth.as_deref().map(Truth::open).transpose()?;
         let request = DepthOptions { reference_view: self.reference_view, ..Default::default() };
-        let options = PredictorOptions {
-            masks: None,
-            checkpoint: &checkpoint,
-            side: self.input_size,
-            cameras: self.source,
-            arithmetic: &self.arithmetic,
-            request,
-        };
+        let of_network = PredictorOptions::of(&checkpoint, &self.arithmetic);
+        let options = PredictorOptions { side: self.input_size, cameras: self.source, request, ..of_network };
         let frames: Vec<&CaptureView> = known.iter().flat_map(|(frames, _)| frames).collect();
         let mut predicted = options.ask(session, &files, &frames)?;
         predicted.scale(self.metric, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
