@@ -134,8 +134,7 @@ impl<'a> PredictorOptions<'a> {
         Self { checkpoint, side: None, masks: None, cameras, arithmetic, request }
     }
 
-    /// Returns the patch tokens of photos with known cameras, and the cameras of what the network
-    /// sees of them.
+    /// Returns the patch tokens of photos with known cameras, and the cameras of the views.
     pub fn patch_tokens(
         self,
         session: &mut Session<'_>,

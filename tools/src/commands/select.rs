@@ -58,7 +58,7 @@ pub struct Select {
     /// other programs ignore it
     #[arg(long, value_name = "NAME", conflicts_with = "remove")]
     tag: Option<String>,
-    /// Select the Gaussians of which the scene's PLY property NAME is at least 0.5
+    /// Select Gaussians whose PLY property NAME is at least 0.5
     #[arg(long, value_name = "NAME", conflicts_with_all = ["masks", "at"])]
     tagged: Option<String>,
     /// Scene to write: .ply, .spz, .sog, .splat, .glb or .gltf

@@ -62,7 +62,7 @@ pub struct Tradeoff {
         value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
     /// Token selections: kmeans[:ROUNDS], mutual, stride, random[:SEED], files of indices
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,mutual,stride,random",
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
     token_selection: Vec<TokenSelection>,
     /// Pooling factors of attention across photos
