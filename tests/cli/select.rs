@@ -151,7 +151,8 @@ fn a_lift_is_planned() {
 #[test]
 fn a_selection_is_a_property_that_other_programs_ignore() {
     let folder = Folder::new();
-    let scene = objects(&folder);
+    objects(&folder);
+    let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
     picture(&folder, "masks/a.png", [255, 0]);
     let select = |words: &str| folder.run(&format!("select {words} --cameras @/cameras.json"));
     select("@/scene.ply --masks @/masks --tag left -o @/tagged.ply").success();

@@ -34,8 +34,8 @@ fn vggt_gives_depth_cameras_and_scenes() {
 #[test]
 fn vggts_point_head_gives_the_points() {
     let folder = Folder::new().with_depth().with_vggt();
-    let options = "--point-head --input-size 42 -o @/depth --json";
-    let json = folder.run(&format!("depth @/photos --weights @/vggt.safetensors {options}")).json();
+    let options = "--point-head --input-size 42 -o @/depth";
+    let json = folder.run(&format!("depth @/photos --weights @/vggt.safetensors {options} --json")).json();
     let bytes = folder.read("depth/depths.safetensors");
     let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     let (points, confidence) = (values.tensor("points").unwrap(), values.tensor("point_confidence").unwrap());
