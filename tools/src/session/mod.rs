@@ -42,7 +42,7 @@ pub struct Terminal<'a> {
 #[derive(Args)]
 pub struct Global {
     /// Vulkan device: number in `zipsplat doctor list`, UUID, or part of the name that is not all
-    /// digits; none: plan for a typical GPU, with `reconstruct --dry-run` [default: the best]
+    /// digits; none: plan for a typical GPU, with `--dry-run` [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Device memory limit in bytes, such as 3G, also of the photos that a refinement keeps in
