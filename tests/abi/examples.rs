@@ -14,7 +14,7 @@ use zipsplat::{
     ops::Arithmetic,
     reconstruct::ReconstructOptions,
     types::{Fitting, Image, bounded_views, preprocess::fit, read_ply},
-    weights::{Checkpoint, DepthCheckpoint, Dtype},
+    weights::{Checkpoint, DepthCheckpoint, DepthHeads, Dtype},
 };
 use zipsplat_tests::{architectures, compare::assert_same, device::device as rust_device};
 
@@ -151,7 +151,7 @@ fn depth_in_c() {
     let read: Vec<Image> = photos.iter().map(|path| Image::open(path).expect("a photo")).collect();
     let views = bounded_views(read.len(), |i| Ok(&read[i]), Fitting::LongestSide, None).expect("views");
     let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
-    let checkpoint = DepthCheckpoint::open(&weights, false).expect("weights");
+    let checkpoint = DepthCheckpoint::open(&weights, DepthHeads::default()).expect("weights");
     let model =
         DepthModel::from_checkpoint(rust_device(), &checkpoint, Arithmetic::EXACT, |_| ControlFlow::Continue(()));
     let truth = model.expect("a model").predict(&images, &DepthOptions::default(), |_| ControlFlow::Continue(()));

@@ -100,7 +100,7 @@ impl World {
         let options = zs_reconstruct_options {
             struct_size: random.mostly(size_of::<zs_reconstruct_options>() as u32, &[0, 4, 63, 65, u32::MAX]),
             ratio: random.mostly(0.5, &[0.0, 1.0, -1.0, f64::NAN]),
-            token_selection: random.mostly(0, &[1, 2, 3, -1]),
+            token_selection: random.mostly(0, &[1, 2, 3, 4, -1]),
             input_size: [random.mostly(SIDE, &[0, 1, 14, 28, u32::MAX]), SIDE],
             ..reconstruct_options()
         };

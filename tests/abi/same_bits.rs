@@ -86,6 +86,7 @@ fn options_and_cameras_give_rusts_scene() {
         (ZS_RATIO_AUTO, Ratio::Auto, zs_token_selection::ZS_TOKEN_SELECTION_KMEANS, TokenSelection::KMEANS, false),
         (0.3, Ratio::Fixed(0.3), zs_token_selection::ZS_TOKEN_SELECTION_STRIDE, TokenSelection::Stride, true),
         (0.3, Ratio::Fixed(0.3), zs_token_selection::ZS_TOKEN_SELECTION_RANDOM, TokenSelection::Random(7), false),
+        (0.3, Ratio::Fixed(0.3), zs_token_selection::ZS_TOKEN_SELECTION_MUTUAL, TokenSelection::MutualNearest, true),
         (1.0, Ratio::Fixed(1.0), zs_token_selection::ZS_TOKEN_SELECTION_KMEANS, TokenSelection::KMEANS, true),
     ];
     for (number, ratio, choice, selection, posed) in cases {

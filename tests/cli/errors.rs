@@ -311,7 +311,12 @@ fn devices() {
     for line in
         [&format!("reconstruct @/photos {MICRO}"), "doctor list", "render @/scene.ply --wiggle -o @/out", "doctor"]
     {
-        refused(&folder, &format!("--device none {line}"), 3, &["--device: found none", "reconstruct --dry-run"]);
+        refused(
+            &folder,
+            &format!("--device none {line}"),
+            3,
+            &["--device: found none", "--dry-run of reconstruct and lift"],
+        );
     }
 }
 

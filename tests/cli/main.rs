@@ -126,6 +126,7 @@ impl Folder {
     fn with_vggt(self) -> Self {
         let maps = (8, [8, 8, 8, 8]);
         let architecture = DepthArchitecture::vggt("vggt-micro", 64, [1, 4], [0, 1, 2, 3], maps);
+        let architecture = DepthArchitecture { points: true, ..architecture };
         let checkpoint = DepthCheckpoint::seeded(architecture, "micro").expect("a network");
         let path = self.path("vggt.safetensors");
         checkpoint.save_with(&path, Dtype::F32, |_| Continue(())).expect("weights can be written");

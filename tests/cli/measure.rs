@@ -156,7 +156,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     // Empty pictures would be equal.
     folder.run("scene --seed 3 --views 6 --size 42x28 -o @/place").success();
     let line = "bench tradeoff @/place --weights @/micro.safetensors --input-size 42x28 --views 2,3 --ratio 1,0.5 \
-                --token-selection kmeans,kmeans:1,random:3 --max-gaussians-per-token 4,1 --refine 0,3,4:tokens --dtype f16,q8 --repeats 1 --targets 2 --scene-scale 1.5 -o @/report --json";
+                --token-selection kmeans,mutual,random:3 --max-gaussians-per-token 4,1 --refine 0,3,4:tokens --dtype f16,q8 --repeats 1 --targets 2 --scene-scale 1.5 -o @/report --json";
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
     // Per number of photos: all tokens, and half of them by three selections, twice, in each

@@ -229,10 +229,10 @@ fn several_ratios_and_selections_are_rows_of_their_own() {
     two_scenes(&folder);
     let line = format!("{SERIES} {OPTIONS} --limit 100 --json");
     let one = folder.run(&format!("{line} --ratio 0.5 --token-selection stride")).json();
-    let json = folder.run(&format!("{line} --ratios 1,0.5 --token-selections kmeans,stride")).json();
+    let json = folder.run(&format!("{line} --ratios 1,0.5 --token-selections mutual,stride")).json();
     let means = json["means"].as_array().expect("means");
     let line_of = |name: &str| means.iter().find(|line| line[0] == name).unwrap_or_else(|| panic!("{name}: {json}"));
-    for name in ["micro r=1 kmeans", "micro r=1 stride", "micro r=0.5 kmeans", "micro r=0.5 stride"] {
+    for name in ["micro r=1 mutual", "micro r=1 stride", "micro r=0.5 mutual", "micro r=0.5 stride"] {
         assert_eq!(line_of(name)[4], if name.contains("0.5") { "16" } else { "32" }, "{name}");
     }
     let cells = |line: &Value| line.as_array().expect("cells")[1..].to_vec();

@@ -39,11 +39,14 @@ fn the_extension_decides_the_format() {
 #[test]
 fn the_ratio_and_selection_decide_the_number() {
     let folder = Folder::new();
+    folder.write("tokens.txt", b"3 1\n11\n7\n");
     for (options, tokens) in [
         ("--ratio 0.5", 6),
         ("--ratio auto --kv-pool 2", 6),
         ("--ratio 0.3 --token-selection stride", 3),
         ("--ratio 0.3 --token-selection random:7", 3),
+        ("--ratio 0.3 --token-selection mutual", 3),
+        ("--token-selection @/tokens.txt", 4),
         ("--ratio 1 --precision fp32", 12),
     ] {
         let json = folder

@@ -1,5 +1,5 @@
 use crate::Folder;
-use zipsplat::types::{Scene, write_ply};
+use zipsplat::types::{Scene, read_ply_property, write_ply};
 use zipsplat_tests::{architectures, scenes};
 
 const SIZE: u32 = 64;
@@ -115,6 +115,55 @@ fn a_networks_patch_tokens_are_lifted() {
     let seen = json["seen"].as_u64().expect("a number") as usize;
     assert!(seen > scene.len() / 4 && seen < scene.len(), "{seen} of {}", scene.len());
     folder.run(&format!("{line} --labels 3 -o @/x.safetensors")).fails_usage();
+}
+
+#[test]
+fn depth_networks_patch_tokens_are_lifted() {
+    let folder = Folder::new().with_depth().with_vggt();
+    folder.run("scene --seed 5 --views 4 --size 84x56 --splats -o @/place").success();
+    let scene = Scene::open(folder.path("place/splats.ply")).expect("a scene");
+    for (weights, width) in [("da3", 128), ("alone", 64), ("vggt", 128)] {
+        let line = format!("lift @/place/splats.ply --weights @/{weights}.safetensors --views 2");
+        let json =
+            folder.run(&format!("{line} --cameras @/place/transforms.json -o @/f.safetensors --json --overwrite"));
+        let json = json.json();
+        assert_eq!((&json["photos"], &json["channels"]), (&2.into(), &width.into()), "{weights}");
+        // These networks see whole photos.
+        let seen = json["seen"].as_u64().expect("a number") as usize;
+        assert!(seen > scene.len() / 2, "{weights}: {seen} of {}", scene.len());
+    }
+}
+
+#[test]
+fn a_lift_is_planned() {
+    let folder = Folder::new();
+    objects(&folder);
+    picture(&folder, "labels/a.png", [2, 1]);
+    let line = "lift @/scene.ply @/labels --labels 3 --cameras @/cameras.json --dry-run --json";
+    let plan = folder.run(&format!("--device none {line}")).json();
+    let number = |key: &str| plan[key].as_u64().expect(key);
+    assert_eq!(number("peak_bytes"), number("scene_bytes") + number("feature_bytes") + number("arena_bytes"));
+    assert_eq!((&plan["channels"], &plan["photos"], &plan["parts"]), (&3.into(), &1.into(), &1.into()));
+    folder.run(&format!("{line} -o @/x.safetensors")).fails_usage();
+    folder.run("lift @/scene.ply --cameras @/cameras.json --dry-run").fails_usage();
+}
+
+#[test]
+fn a_selection_is_a_property_that_other_programs_ignore() {
+    let folder = Folder::new();
+    objects(&folder);
+    let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
+    picture(&folder, "masks/a.png", [255, 0]);
+    let select = |words: &str| folder.run(&format!("select {words} --cameras @/cameras.json"));
+    select("@/scene.ply --masks @/masks --tag left -o @/tagged.ply").success();
+    assert!(Scene::open(folder.path("tagged.ply")).expect("a scene") == scene);
+    let values = read_ply_property(&folder.path("tagged.ply"), "left").expect("it has the property");
+    assert!(values.iter().enumerate().all(|(i, value)| *value == f32::from(u8::from(i < 100))));
+    select("@/tagged.ply --tagged left --remove -o @/right.ply").success();
+    assert_eq!(Scene::open(folder.path("right.ply")).expect("a scene").means, scene.means[100..]);
+    select("@/tagged.ply --tagged right -o @/x.ply").fails(3, &["tagged.ply", "right"]);
+    select("@/scene.ply --masks @/masks --tag opacity -o @/x.ply").fails(3, &["opacity", "no other property"]);
+    select("@/scene.ply --masks @/masks --tag left -o @/x.spz").fails(3, &["x.spz", ".ply"]);
 }
 
 #[test]

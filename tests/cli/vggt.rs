@@ -10,7 +10,7 @@ fn vggt_gives_depth_cameras_and_scenes() {
     let bytes = folder.read("depth/depths.safetensors");
     let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     assert_eq!(values.tensor("depth").unwrap().shape(), [2, 28, 42]);
-    assert!(values.tensor("confidence").is_ok() && values.tensor("rays").is_err());
+    assert!(values.tensor("confidence").is_ok() && values.tensor("rays").is_err() && values.tensor("points").is_err());
 
     let line = format!("cameras @/photos --with vggt {weights} --matching-size 64");
     let found = folder.run(&format!("{line} -o @/found.json --json")).json();
@@ -29,6 +29,38 @@ fn vggt_gives_depth_cameras_and_scenes() {
     assert!(folder.run("convert @/vggt.safetensors").success().contains("vggt-micro of VGGT"));
     folder.run("convert @/vggt.safetensors @/half.safetensors --dtype f16").success();
     folder.run("depth @/photos --weights @/half.safetensors --input-size 42 -o @/half").success();
+}
+
+#[test]
+fn vggts_point_head_gives_the_points() {
+    let folder = Folder::new().with_depth().with_vggt();
+    let options = "--point-head --input-size 42 -o @/depth";
+    let json = folder.run(&format!("depth @/photos --weights @/vggt.safetensors {options} --json")).json();
+    let bytes = folder.read("depth/depths.safetensors");
+    let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let (points, confidence) = (values.tensor("points").unwrap(), values.tensor("point_confidence").unwrap());
+    assert_eq!((points.shape(), confidence.shape()), (&[2, 28, 42, 3][..], &[2, 28, 42][..]));
+    let cloud = read_points(folder.path("depth/points.ply")).unwrap();
+    assert_eq!(json["points"], cloud.positions.len());
+    let (rows, _) = points.data().as_chunks::<12>();
+    let bytes_of = |point: &[f32; 3]| point.map(f32::to_le_bytes).concat();
+    assert!(cloud.positions.iter().all(|point| rows.iter().any(|row| row[..] == bytes_of(point)[..])));
+    let refused = folder.run(&format!("depth @/photos --weights @/da3.safetensors {options} --overwrite"));
+    refused.fails(3, &["network for points", "da3-micro", "VGGT"]);
+}
+
+/// Portrait and landscape photos are scaled to equal areas, as for Depth Anything 3.
+#[test]
+fn mixed_orientations_keep_equal_shares_with_vggt() {
+    let folder = Folder::new().with_depth().with_vggt();
+    folder.make("mixed");
+    crate::photo(96, 64, 0).save_png(folder.path("mixed/wide.png")).expect("a photo");
+    crate::photo(64, 96, 1).save_png(folder.path("mixed/tall.png")).expect("a photo");
+    for weights in ["vggt", "da3"] {
+        let line = format!("depth @/mixed --weights @/{weights}.safetensors --input-size 84 -o @/{weights} --json");
+        let json = folder.run(&line).json();
+        assert_eq!((&json["width"], &json["height"]), (&56.into(), &56.into()), "{weights}");
+    }
 }
 
 #[test]
@@ -52,7 +84,7 @@ fn what_vggt_cannot_do_is_refused() {
     let folder = Folder::new().with_depth().with_vggt();
     folder.run("cameras @/photos --method vggt --weights @/vggt.safetensors -o @/known.json").success();
     let known = "--cameras @/known.json";
-    let refused = ["cameras", "none: vggt-micro knows no cameras"];
+    let refused = ["cameras", "none: vggt-micro has no camera encoder", "Depth Anything 3"];
     folder.run(&format!("depth @/photos --weights @/vggt.safetensors {known} -o @/out")).fails(3, &refused);
     for weights in ["vggt", "tokens"] {
         let line =

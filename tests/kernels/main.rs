@@ -17,6 +17,7 @@ mod backbone {
 mod cluster {
     mod halves;
     mod mean;
+    mod mutual;
     mod nearest;
     mod origin;
     mod panels;

@@ -69,6 +69,7 @@ fn every_token_is_what_no_clustering_gives() {
         for selection in [
             TokenSelection::Given((0..tokens).collect()),
             TokenSelection::KMEANS,
+            TokenSelection::MutualNearest,
             TokenSelection::Stride,
             TokenSelection::Random(5),
         ] {

@@ -276,7 +276,7 @@ def test_invalid_arguments_raise(model: zipsplat.Model, photos: list[Path], capt
         ([picture], {"ratio": 1.5}, zipsplat.ArgumentError, "ratio"),
         ([picture], {"ratio": 0}, ValueError, "ratio: found 0"),
         ([picture], {"scene_scale": -1.0}, ValueError, "scene_scale: found -1.0"),
-        ([picture], {"token_selection": "best"}, ValueError, "'kmeans', 'stride', 'random'"),
+        ([picture], {"token_selection": "best"}, ValueError, "'kmeans', 'mutual', 'stride', 'random'"),
         ([picture], {"world": "mine"}, ValueError, "first_camera"),
         ([picture], {"world": "input_cameras"}, zipsplat.ArgumentError, "world"),
         ([picture], {"input_size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),

@@ -40,6 +40,7 @@ fn a_scene_of_kept_features_is_that_of_the_photos() {
         (1.0, TokenSelection::KMEANS),
         (0.5, TokenSelection::KMEANS),
         (0.25, TokenSelection::Stride),
+        (0.25, TokenSelection::MutualNearest),
         (0.3, TokenSelection::Random(4)),
     ] {
         let ratio = Ratio::Fixed(ratio);

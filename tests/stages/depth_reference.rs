@@ -3,9 +3,14 @@ use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::architectures::{depth_micro, depth_micro_alone};
 use zipsplat_tests::prelude::*;
-use zipsplat_tests::reference::cluster::kmeans::kmeans;
 use zipsplat_tests::reference::depth::{Sizes, View, features, views};
-use zipsplat_tests::reference::model::Weights;
+use zipsplat_tests::reference::{
+    cluster::{
+        kmeans::kmeans,
+        mutual::{nearest_by_view, order},
+    },
+    model::Weights,
+};
 
 /// As for the heads' goldens.
 const WITHIN: Tolerance = Tolerance { max: 1e-4, rms: 3e-5 };
@@ -82,6 +87,10 @@ fn chosen_patches() {
     assert!(clusters.gaps.iter().all(clear), "another key: {:?}", clusters.gaps);
     let expected: Vec<u32> = clusters.nearest.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
     assert_eq!(found, expected);
+    let mutual = DepthOptions { token_selection: TokenSelection::MutualNearest, ..request.clone() };
+    let truth = order(&nearest_by_view(&layers[3], 2 * sizes.width, 6), 6);
+    let expected: BTreeSet<u32> = truth[..9].iter().copied().collect();
+    assert_eq!(predict(&a, &pictures, &mutual).patches.unwrap(), Vec::from_iter(expected));
     let given = DepthOptions { token_selection: TokenSelection::Given(vec![5, 17, 5]), ..request };
     assert_eq!(predict(&a, &pictures, &given).patches.unwrap(), [5, 17]);
 }

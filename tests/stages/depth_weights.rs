@@ -1,7 +1,7 @@
 use safetensors::{Dtype, tensor::TensorView};
 use tempfile::TempDir;
 use zipsplat::ops::Ffn;
-use zipsplat::weights::{DEPTH_MODELS, DepthArchitecture, DepthCheckpoint};
+use zipsplat::weights::{DEPTH_MODELS, DepthArchitecture, DepthCheckpoint, DepthHeads};
 use zipsplat_tests::prelude::*;
 
 fn tiny() -> DepthArchitecture {
@@ -69,7 +69,7 @@ fn missing_and_foreign_tensors_are_named() {
         }
         other => panic!("{other:?}"),
     }
-    assert_refused(DepthCheckpoint::open(&path, false), &["width 128", "da3-base"]);
+    assert_refused(DepthCheckpoint::open(&path, DepthHeads::default()), &["width 128", "da3-base"]);
 }
 
 /// Two networks share a layout.
@@ -79,9 +79,12 @@ fn networks_are_told_by_their_shapes() {
     let path = folder.path().join("model.safetensors");
     let small = DepthArchitecture::named("da3-small").unwrap();
     write(&path, &small.parameters(), None);
-    let found = DepthCheckpoint::open(&path, false).unwrap();
+    let found = DepthCheckpoint::open(&path, DepthHeads::default()).unwrap();
     assert_eq!(*found.architecture(), small);
-    assert_refused(DepthCheckpoint::open(&path, true), &["da3-small", "da3-giant"]);
+    assert_refused(
+        DepthCheckpoint::open(&path, DepthHeads { gaussians: true, points: false }),
+        &["da3-small", "da3-giant"],
+    );
     for name in DEPTH_MODELS {
         let architecture = DepthArchitecture::named(name).unwrap();
         architecture.validate().unwrap();

@@ -1,6 +1,6 @@
 //! Features against a brute-force reference in f64, where every pixel visits every Gaussian.
 
-use zipsplat::features::{FeatureRenderer, Features, Lifted, PixelValues};
+use zipsplat::features::{FeatureRenderer, Features, LiftMemory, Lifted, PixelValues};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::render::{
     project::{Splat, project},
@@ -175,4 +175,29 @@ fn invalid_features_name_themselves() {
     let features = Features { values: vec![0.0; 11], channels: 1, group: 1 };
     let error = renderer.draw(&scene, &features, &[camera]).expect_err("too few").to_string();
     assert!(error.contains("11 values") && error.contains("12 rows"), "{error}");
+}
+
+#[test]
+fn many_channels_take_the_planned_memory() {
+    let device = Device::open(&DeviceOptions::default()).unwrap();
+    let (scene, cameras) = (random_scene(3_000, 0, 0.05), cameras());
+    for (channels, is_one_part) in [(40, true), (1_200, false)] {
+        let value = |i: usize| (i % channels) as f32;
+        let picture = |_| {
+            let values = (0..4 * channels).map(value).collect();
+            Ok(PixelValues { width: 2, height: 2, channels, values })
+        };
+        let before = device.allocated_bytes();
+        let mut renderer = FeatureRenderer::new(&device);
+        let Lifted { features, weights } = renderer.lift(&scene, &cameras, 1, channels, picture).unwrap();
+        let plan = LiftMemory::of(device.limits(), &scene, &cameras, 1, channels, [2, 2]).unwrap();
+        let allocated = device.allocated_bytes() - before;
+        // The last part is the smallest.
+        assert!(allocated == plan.total() || !is_one_part && allocated < plan.total(), "{allocated}, {plan:?}");
+        assert_eq!(plan.parts == 1, is_one_part, "{plan:?}");
+        let seen = features.values.chunks_exact(channels).zip(&weights).filter(|(_, weight)| **weight > 0.0);
+        let close = |(i, found): (usize, &f32)| (found - value(i)).abs() <= 1e-5 * value(i).max(1.0);
+        let count = seen.inspect(|(row, _)| assert!(row.iter().enumerate().all(close), "{:?}", &row[..8])).count();
+        assert!(count > 100, "{count}");
+    }
 }

@@ -15,6 +15,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     depth::{self, DepthModel, DepthOptions, DepthPrediction},
+    features::PixelValues,
     gpu::Device,
     ops::Precision,
     reconstruct::Ratio,
@@ -63,18 +64,9 @@ pub struct PredictorOptions<'a> {
 
 impl Quality {
     pub fn predictor_options<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> PredictorOptions<'a> {
-        PredictorOptions {
-            checkpoint,
-            side: self.side(),
-            masks: None,
-            cameras: CamerasFrom::default(),
-            arithmetic: &self.arithmetic,
-            request: DepthOptions {
-                ratio: self.ratio,
-                token_selection: self.token_selection.clone(),
-                ..DepthOptions::default()
-            },
-        }
+        let (ratio, token_selection) = (self.ratio, self.token_selection.clone());
+        let request = DepthOptions { ratio, token_selection, ..DepthOptions::default() };
+        PredictorOptions { side: self.side(), request, ..PredictorOptions::of(checkpoint, &self.arithmetic) }
     }
 
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
@@ -135,7 +127,27 @@ pub struct PreparedPhotos {
     known_cameras: Option<Vec<Camera>>,
 }
 
-impl PredictorOptions<'_> {
+impl<'a> PredictorOptions<'a> {
+    pub fn of(checkpoint: &'a DepthCheckpoint, arithmetic: &'a ArithmeticOption) -> Self {
+        let (cameras, request) = (CamerasFrom::default(), DepthOptions::default());
+        Self { checkpoint, side: None, masks: None, cameras, arithmetic, request }
+    }
+
+    /// Returns the patch tokens of photos with known cameras, and the cameras of the views.
+    pub fn patch_tokens(
+        self,
+        session: &mut Session<'_>,
+        photos: &[PathBuf],
+        known: &[&CaptureView],
+    ) -> Result<(Vec<Camera>, Vec<PixelValues>)> {
+        let (prepared, _) = session.stage("load photos", |stage| self.read(photos, known, stage))?;
+        let device = session.device()?;
+        let DepthPredictor { model, request, .. } = self.open(session, &device)?;
+        let images: Vec<Image> = prepared.views.into_iter().map(|view| view.image).collect();
+        let tokens = |stage: &Stage<'_>| model.patch_tokens(&images, &request, |progress| stage.follow(progress));
+        let (tokens, _) = session.stage("features", tokens)?;
+        Ok((prepared.known_cameras.unwrap_or_default(), tokens))
+    }
     /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&CaptureView]) -> Result<PredictedViews> {
         let (prepared, reading) = session.stage("load photos", |stage| self.read(photos, known, stage))?;

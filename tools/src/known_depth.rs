@@ -1,7 +1,7 @@
 //! Known depth of photos: of sensors, other programs or a depth network.
 
 use crate::{
-    depth::{CamerasFrom, PredictorOptions},
+    depth::PredictorOptions,
     lifted::values_file,
     npy,
     options::ArithmeticOption,
@@ -22,9 +22,9 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    depth::DepthOptions,
     refine::{DepthKind, Photos},
     types::{Camera, Image, Intrinsics, named_after, poses::CaptureView},
+    weights::DepthHeads,
 };
 
 /// File of `depth` with the depth of all its photos.
@@ -265,16 +265,8 @@ fn predict(
     photos: &[PathBuf],
     frames: &[&CaptureView],
 ) -> Result<Vec<Option<Source>>> {
-    let (checkpoint, arithmetic) = (open_depth(network, false)?, ArithmeticOption::default());
-    let options = PredictorOptions {
-        checkpoint: &checkpoint,
-        side: None,
-        masks: None,
-        cameras: CamerasFrom::default(),
-        arithmetic: &arithmetic,
-        request: DepthOptions::default(),
-    };
-    let predicted = options.ask(session, photos, frames)?;
+    let (checkpoint, arithmetic) = (open_depth(network, DepthHeads::default())?, ArithmeticOption::default());
+    let predicted = PredictorOptions::of(&checkpoint, &arithmetic).ask(session, photos, frames)?;
     let source = |(i, frame): (usize, &&CaptureView)| {
         let label = photos[i].display().to_string();
         let intrinsics = predicted.views[i].map.apply(&frame.camera.intrinsics, &label)?;

@@ -2,8 +2,9 @@
 
 use crate::{
     cameras::{Similarity, to_scene},
+    depth::PredictorOptions,
     npy,
-    options::{ArithmeticOption, Size, Weights},
+    options::{ArithmeticOption, Network, Size, Weights},
     session::Session,
     table::counted,
     views::Crop,
@@ -24,6 +25,7 @@ use zipsplat::{
         poses::{Capture, CaptureView},
         write_atomic,
     },
+    weights::Checkpoint,
 };
 
 const LARGEST: u32 = 1600;
@@ -130,20 +132,34 @@ pub fn of_network(
     if paths.is_empty() {
         return Err(Error::argument(photos.cameras.display().to_string(), "no photos", "the photos of the cameras"));
     }
-    let checkpoint = weights.open()?;
-    let size = Size::or_best(None, &checkpoint);
+    let (cameras, mut tokens) = match weights.open_network()? {
+        Network::Tokens(checkpoint) => tokens_of(session, &checkpoint, &paths, &frames)?,
+        Network::Pixels(checkpoint) => {
+            let arithmetic = ArithmeticOption::default();
+            PredictorOptions::of(&checkpoint, &arithmetic).patch_tokens(session, &paths, &frames)?
+        }
+    };
+    standardize(&mut tokens);
+    Ok((cameras.iter().map(|camera| to_scene.apply(camera)).collect(), tokens))
+}
+
+fn tokens_of(
+    session: &mut Session<'_>,
+    checkpoint: &Checkpoint,
+    paths: &[PathBuf],
+    frames: &[&CaptureView],
+) -> Result<(Vec<Camera>, Vec<PixelValues>)> {
+    let size = Size::or_best(None, checkpoint);
     let device = session.device()?;
     let (_, arithmetic) = ArithmeticOption::default().choose(session, &device)?;
-    let (seen, _) = session.stage("load photos", |stage| Crop::Center.load(&paths, &frames, None, size, stage))?;
-    let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
+    let (seen, _) = session.stage("load photos", |stage| Crop::Center.load(paths, frames, None, size, stage))?;
+    let (model, _) = session.load_model(&device, checkpoint, arithmetic)?;
     let (features, _) = session.stage("features", |stage| {
         model.features(&seen.images, &ReconstructOptions::default(), |progress| stage.follow(progress))
     })?;
     let first = frames[0].camera.pose;
     let here = |camera: Camera| Camera { pose: first.compose(&camera.pose), ..camera };
-    let mut tokens = features.patch_tokens()?;
-    standardize(&mut tokens);
-    Ok((seen.cameras.into_iter().map(|camera| to_scene.apply(&here(camera))).collect(), tokens))
+    Ok((seen.cameras.into_iter().map(here).collect(), features.patch_tokens()?))
 }
 
 /// Reads `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or labels as

@@ -1,11 +1,11 @@
 use crate::{
     antialiasing::Antialiasing,
     depth::DEPTH_WEIGHTS,
-    released::{self, is_of_depth, open_depth},
+    released::{self, is_of_depth, open_whole_depth},
     session::Session,
 };
 use clap::{Args, ValueEnum};
-use std::{fmt, io::Read, path::Path, str::FromStr};
+use std::{fmt, fs, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
@@ -41,7 +41,7 @@ impl Weights {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
                 refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
-                open_depth(weights, true).map(Network::Pixels)
+                open_whole_depth(weights).map(Network::Pixels)
             }
             _ => self.open().map(Network::Tokens),
         }
@@ -133,7 +133,8 @@ pub struct Quality {
     /// Fraction of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
-    /// Selection of tokens: kmeans[:ROUNDS], stride or random[:SEED]
+    /// Selection of tokens: kmeans[:ROUNDS], mutual (nearest neighbors across views), stride,
+    /// random[:SEED], or a text file of indices, whose number replaces --ratio
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub token_selection: TokenSelection,
     /// Average keys and values of cross-view attention over SxS patches, S from 1 to 4: faster,
@@ -373,16 +374,13 @@ pub fn parse_length(text: &str) -> Result<f64, String> {
     length.ok_or_else(|| "expected a number above 0".into())
 }
 
+/// Reads the indices of a file, separated by white space, if `text` is none of the names.
 pub fn parse_selection(text: &str) -> Result<TokenSelection, String> {
-    let random = |seed: &str| seed.parse().map(TokenSelection::Random).map_err(|_| format!("{seed} is no seed"));
-    match text.split_once(':') {
-        None if text == "kmeans" => Ok(TokenSelection::KMEANS),
-        None if text == "stride" => Ok(TokenSelection::Stride),
-        None if text == "random" => Ok(TokenSelection::Random(0)),
-        Some(("random", seed)) => random(seed),
-        Some(("kmeans", rounds)) => {
-            rounds.parse().map(TokenSelection::Kmeans).map_err(|_| format!("{rounds} is no number"))
+    text.parse().or_else(|unknown| match fs::read_to_string(text) {
+        Err(_) => Err(format!("{unknown}, or a file of indices")),
+        Ok(file) => {
+            let indices = file.split_whitespace().map(|word| word.parse().map_err(|_| format!("{word} is no index")));
+            indices.collect::<Result<_, _>>().map(TokenSelection::Given)
         }
-        _ => Err("expected kmeans[:ROUNDS], stride or random[:SEED]".into()),
-    }
+    })
 }

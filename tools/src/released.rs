@@ -1,6 +1,10 @@
 use crate::download::{Client, TAG};
 use std::path::{Path, PathBuf};
-use zipsplat::{Error, Result, gpu::cache_dir, weights::DepthCheckpoint};
+use zipsplat::{
+    Error, Result,
+    gpu::cache_dir,
+    weights::{DepthCheckpoint, DepthHeads},
+};
 
 pub struct Released {
     pub name: &'static str,
@@ -196,16 +200,24 @@ pub fn is_of_depth(text: &str) -> bool {
 }
 
 /// Opens a name, `seeded:NAME`, or a file. `whole` includes any Gaussian head.
-pub fn open_depth(text: &str, whole: bool) -> Result<DepthCheckpoint> {
+pub fn open_depth(text: &str, heads: DepthHeads) -> Result<DepthCheckpoint> {
+    opener(text)?(heads)
+}
+
+/// Opens a depth network with the Gaussian head, if there is one.
+pub fn open_whole_depth(text: &str) -> Result<DepthCheckpoint> {
+    DepthCheckpoint::whole(opener(text)?)
+}
+
+fn opener(text: &str) -> Result<impl Fn(DepthHeads) -> Result<DepthCheckpoint>> {
     if Released::named(text).is_some_and(|released| released.kind != Kind::Depth) {
         let names = RELEASED.iter().filter(|released| released.kind == Kind::Depth).map(|released| released.name);
         let expected = format!("those of a depth network: {}, or a file", names.collect::<Vec<_>>().join(", "));
         return Err(Error::argument("weights", format!("{text}, of ZipSplat"), expected));
     }
     let cached = find(text)?;
-    let open = |gaussians| match &cached {
-        Some(path) => DepthCheckpoint::open(path, gaussians),
-        None => DepthCheckpoint::parse(text, gaussians),
-    };
-    if whole { DepthCheckpoint::whole(open) } else { open(false) }
+    Ok(move |heads| match &cached {
+        Some(path) => DepthCheckpoint::open(path, heads),
+        None => DepthCheckpoint::parse(text, heads),
+    })
 }

@@ -16,7 +16,8 @@ use crate::{Error, Result};
 pub enum Fitting {
     /// Depth Anything 3: the longest side to the bound, as OpenCV.
     LongestSide,
-    /// VGGT: the width to the bound, as Pillow; taller photos are cropped to a square.
+    /// VGGT: the width to the bound, as Pillow; taller photos are cropped to a square. The longest
+    /// side to the bound if sizes differ.
     Width,
 }
 
@@ -45,17 +46,24 @@ pub fn bounded_views<P: Borrow<Image>>(
     bound: Option<u32>,
 ) -> Result<Vec<View>> {
     let bound = bound.unwrap_or(fitting.default_bound());
-    let scaled = |i: usize| {
-        let photo = photo(i)?;
-        let photo = photo.borrow();
-        let image = match fitting {
-            Fitting::LongestSide => bounded(photo, bound)?,
-            Fitting::Width => widened(photo, bound)?,
+    let scaled = |longest: bool| -> Result<Vec<View>> {
+        let view = |i: usize| {
+            let photo = photo(i)?;
+            let photo = photo.borrow();
+            let image = match fitting {
+                Fitting::LongestSide => bounded(photo, bound)?,
+                Fitting::Width => widened(photo, bound, longest)?,
+            };
+            Ok(View { map: PixelMap::resized([photo.width, photo.height], [image.width, image.height]), image })
         };
-        Ok(View { map: PixelMap::resized([photo.width, photo.height], [image.width, image.height]), image })
+        let views: Vec<Result<View>> = (0..count).into_par_iter().map(view).collect();
+        views.into_iter().collect()
     };
-    let views: Vec<Result<View>> = (0..count).into_par_iter().map(scaled).collect();
-    let mut views = views.into_iter().collect::<Result<Vec<View>>>()?;
+    let mut views = scaled(false)?;
+    let size = |view: &View| [view.image.width, view.image.height];
+    if fitting == Fitting::Width && views.iter().any(|view| size(view) != size(&views[0])) {
+        views = scaled(true)?;
+    }
     let least = |side: fn(&Image) -> u32| views.iter().map(|view| side(&view.image)).min().unwrap_or_default();
     let (width, mut height) = (least(|image| image.width), least(|image| image.height));
     if fitting == Fitting::Width {
@@ -86,14 +94,17 @@ pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
     resized(&first, size, grows)
 }
 
-/// Resizes a photo to width `bound`, rounded down to a multiple of [`PATCH`], and the height to the
-/// nearest multiple, ties to even.
-fn widened(photo: &Image, bound: u32) -> Result<Image> {
+/// Resizes a photo to width, or `longest` side, `bound`, rounded down to a multiple of [`PATCH`],
+/// and the other side to the nearest multiple, ties to even.
+fn widened(photo: &Image, bound: u32, longest: bool) -> Result<Image> {
     check(photo, bound)?;
-    let width = bound / PATCH * PATCH;
-    let scale = f64::from(width) / f64::from(photo.width);
-    let patches = (f64::from(photo.height) * scale / f64::from(PATCH)).round_ties_even() as u32;
-    resize_bicubic(photo, width, PATCH * patches.max(1))
+    let bound = bound / PATCH * PATCH;
+    let from = if longest { photo.width.max(photo.height) } else { photo.width };
+    let scaled = |side: u32| {
+        let patches = f64::from(side) * (f64::from(bound) / f64::from(from)) / f64::from(PATCH);
+        PATCH * (patches.round_ties_even() as u32).max(1)
+    };
+    resize_bicubic(photo, scaled(photo.width), scaled(photo.height))
 }
 
 fn check(photo: &Image, bound: u32) -> Result<()> {

@@ -46,7 +46,9 @@ pub use format::SaveOptions;
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
 pub use lens::{CUT_VIEW_DEG, Distortion, Lens, LensView, MAX_VIEW_DEG};
 pub use mask::{MASKED, MaskSource, Masks, named_after};
-pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
+pub use ply::{
+    PlyProperty, PointCloud, read_ply, read_ply_property, read_points, write_ply, write_ply_with, write_points,
+};
 pub use scene::{NEAR, Scene, near};
 pub use scene_file::{SceneFormat, read_world};
 pub use sh_rotation::sh_rotation;

@@ -1,9 +1,11 @@
 use super::{
     DepthNetwork, DepthShape, DepthTensors,
+    network::DepthInputs,
     output::{DepthPrediction, read},
 };
 use crate::{
     Result,
+    features::PixelValues,
     gpu::{Arena, Device, Plan, Progress, Recorder, Run},
     ops::{Arithmetic, Parameters},
     reconstruct::{Ratio, TokenSelection, check_cameras, planar, size_of},
@@ -48,7 +50,7 @@ impl Default for DepthOptions {
 impl DepthModel {
     /// Loads a checkpoint's path, or `seeded:NAME` for random weights.
     pub fn load(device: &Device, weights: &str) -> Result<Self> {
-        let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(weights, gaussians))?;
+        let checkpoint = DepthCheckpoint::whole(|heads| DepthCheckpoint::parse(weights, heads))?;
         let KernelChoice { arithmetic, .. } = KernelChoice::of(device, None)?;
         Self::from_checkpoint(device, &checkpoint, arithmetic, |_| ControlFlow::Continue(()))
     }
@@ -93,11 +95,8 @@ impl DepthModel {
         let mut run = Run::in_arena(&arena, 0, plan, [self.parameters.resident.clone()])?;
         self.write_inputs(&mut run, &tensors, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        let mut patches = match (tensors.chosen, tensors.indices) {
-            (Some(chosen), _) => Some(run.read(chosen)?),
-            (None, Some(_)) => Some(options.token_selection.indices(shape.grid.tokens(), shape.tokens)),
-            (None, None) => None,
-        };
+        let (selection, all) = (&options.token_selection, shape.grid.tokens());
+        let mut patches = tensors.selected.read(&run, selection, all, shape.tokens)?;
         // Centroids may share a patch.
         patches.iter_mut().for_each(|patches| {
             patches.sort_unstable();
@@ -105,6 +104,25 @@ impl DepthModel {
         });
         let bytes = run.plan().arena_bytes() + self.weight_bytes();
         Ok(DepthPrediction { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
+    }
+
+    /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each image.
+    pub fn patch_tokens(
+        &self,
+        images: &[Image],
+        options: &DepthOptions,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Vec<PixelValues>> {
+        let shape = self.shape(images, options)?;
+        let mut rec = Recorder::new(self.device.limits());
+        let (inputs, features) = self.network.record_features(&mut rec, shape);
+        let deepest = features.layers.last().expect("a network has output layers");
+        rec.output(deepest.tensor);
+        let (arena, _claim) = self.arena.claimed();
+        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone()])?;
+        self.write_photos(&mut run, &inputs, shape, images, options)?;
+        run.execute_with(progress)?;
+        Ok(PixelValues::of_patches(shape.grid, deepest.width, &run.read::<f32>(deepest.tensor)?))
     }
 
     /// Returns the shape for these options.
@@ -141,6 +159,20 @@ impl DepthModel {
         images: &[Image],
         options: &DepthOptions,
     ) -> Result<()> {
+        let pixels = self.write_photos(run, &tensors.inputs, shape, images, options)?;
+        tensors.selected.write(run, &options.token_selection, shape.grid.tokens(), shape.tokens)?;
+        tensors.heads.write(run, &pixels, &self.parameters)
+    }
+
+    /// Writes the backbone's inputs. Returns the pixels as it sees them.
+    fn write_photos(
+        &self,
+        run: &mut Run,
+        inputs: &DepthInputs,
+        shape: DepthShape,
+        images: &[Image],
+        options: &DepthOptions,
+    ) -> Result<Vec<f32>> {
         let mut pixels = planar(images);
         let area = pixels.len() / (3 * images.len());
         // VGGT's backbone normalizes.
@@ -148,12 +180,9 @@ impl DepthModel {
         for (i, plane) in planes {
             plane.iter_mut().for_each(|value| *value = (*value - MEAN[i % 3]) / DEVIATION[i % 3]);
         }
-        run.write(tensors.images, &pixels)?;
-        if let Some(indices) = tensors.indices {
-            run.write(indices, &options.token_selection.indices(shape.grid.tokens(), shape.tokens))?;
-        }
+        run.write(inputs.images, &pixels)?;
         let cameras = options.cameras.as_deref();
-        self.network.stages.backbone.write(run, &tensors.backbone, shape.grid, cameras, &self.parameters)?;
-        tensors.heads.write(run, &pixels, &self.parameters)
+        self.network.stages.backbone.write(run, &inputs.backbone, shape.grid, cameras, &self.parameters)?;
+        Ok(pixels)
     }
 }

@@ -2,8 +2,8 @@ use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
     ops::{Arithmetic, ParameterLayout},
-    reconstruct::{Ratio, TokenSampling, TokenSelection, grid},
-    stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, cluster, heads::HeadTensors},
+    reconstruct::{Ratio, SelectedTokens, TokenSampling, TokenSelection, grid, no_camera_encoder},
+    stages::{DepthArchitecture, DepthFeatures, DepthStages, Reference, ViewGrid, heads::HeadTensors},
 };
 
 /// Depth network parameters.
@@ -28,15 +28,17 @@ pub struct DepthShape {
     pub kept: TokenSampling,
 }
 
+pub(super) struct DepthInputs {
+    /// `[views, 3, height, width]` f32.
+    pub images: Tensor,
+    pub backbone: Vec<Tensor>,
+}
+
 /// Inputs and outputs.
 pub struct DepthTensors {
-    /// `[views, 3, height, width]` f32.
-    pub(super) images: Tensor,
-    pub(super) backbone: Vec<Tensor>,
+    pub(super) inputs: DepthInputs,
     pub(super) heads: HeadTensors,
-    pub(super) indices: Option<Tensor>,
-    /// `[tokens]` u32, from k-means.
-    pub(super) chosen: Option<Tensor>,
+    pub(super) selected: SelectedTokens,
 }
 
 impl DepthNetwork {
@@ -64,7 +66,7 @@ impl DepthNetwork {
         let a = &self.architecture;
         let grid = grid(a.backbone.patch_size, views, width as usize, height as usize)?;
         if cameras && a.backbone.camera.is_none() {
-            return Err(Error::argument("cameras", "some", format!("none: {} knows no cameras", a.name)));
+            return Err(Error::argument("cameras", "some", no_camera_encoder(&a.name)));
         }
         let reference = match reference {
             Some(view) if view >= views => {
@@ -80,21 +82,21 @@ impl DepthNetwork {
 
     /// Records a plan.
     pub fn record(&self, rec: &mut Recorder, shape: DepthShape) -> DepthTensors {
-        let DepthShape { grid, cameras, reference, tokens, kept } = shape;
+        let DepthShape { grid, tokens, kept, .. } = shape;
+        let (inputs, features) = self.record_features(rec, shape);
+        let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
+        let deepest = *features.layers.last().expect("a network has output layers");
+        let selected = kept.record(rec, self.parameters.nearest(), deepest, grid, tokens);
+        DepthTensors { inputs, heads, selected }
+    }
+
+    pub(super) fn record_features(&self, rec: &mut Recorder, shape: DepthShape) -> (DepthInputs, DepthFeatures) {
+        let DepthShape { grid, cameras, reference, .. } = shape;
         let images = rec.input::<f32>("images", grid.values());
         let backbone = self.stages.backbone.inputs(rec, grid, cameras);
         let features =
             rec.scope("backbone", |rec| self.stages.backbone.record(rec, images, &backbone, grid, reference));
-        let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
-        let indices = (kept != TokenSampling::All).then(|| rec.input::<u32>("indices", tokens));
-        let chosen = match (indices, kept, features.layers.last()) {
-            (Some(initial), TokenSampling::Kmeans(rounds), Some(deepest)) => Some(rec.scope("cluster", |rec| {
-                cluster::record(rec, self.parameters.nearest(), *deepest, initial, tokens, rounds)
-            })),
-            _ => None,
-        };
-        chosen.into_iter().for_each(|chosen| rec.output(chosen));
-        DepthTensors { images, backbone, heads, indices, chosen }
+        (DepthInputs { images, backbone }, features)
     }
 
     /// Plans without a device.

@@ -1,4 +1,4 @@
-use super::DepthPrediction;
+use super::{DepthMap, DepthPrediction};
 use crate::types::{Camera, Image};
 use glam::DVec3;
 
@@ -7,12 +7,13 @@ const CONFIDENT: f32 = 1.05;
 const SHARES: [f64; 2] = [0.4, 0.9];
 
 impl DepthPrediction {
-    /// Returns at most `most` colored world points of confident pixels.
+    /// Returns at most `most` colored world points of confident pixels: those of the point head, if
+    /// there is one.
     pub fn points(&self, cameras: &[Camera], images: &[Image], most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let least = self.least_confidence();
         let mut kept = Vec::new();
         for (view, depths) in self.views.iter().enumerate() {
-            let confident = |i: usize| depths.confidence.as_ref().is_none_or(|confidence| confidence[i] >= least);
+            let confident = |i: usize| depths.confidence_at(i).is_none_or(|confidence| confidence >= least);
             let usable = |i: &usize| confident(*i) && depths.shows(*i) && !images[view].ignores(*i);
             kept.extend((0..depths.depth.len()).filter(usable).map(|i| (view, i)));
         }
@@ -21,20 +22,29 @@ impl DepthPrediction {
             let (Camera { intrinsics: lens, pose }, width) = (&cameras[view], self.width as usize);
             let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
             let ray = DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0);
-            let at = pose.transform(ray * f64::from(self.views[view].depth[i])).as_vec3().to_array();
+            let of_depth = || pose.transform(ray * f64::from(self.views[view].depth[i])).as_vec3().to_array();
+            let at = self.views[view].points.as_ref().map_or_else(of_depth, |points| [0, 1, 2].map(|c| points[i][c]));
             (at, std::array::from_fn(|c| images[view].rgb[3 * i + c]))
         };
         kept.iter().step_by(step).map(point).collect()
     }
 
     pub(super) fn least_confidence(&self) -> f32 {
-        let mut all: Vec<f32> =
-            self.views.iter().filter_map(|view| view.confidence.as_ref()).flatten().copied().collect();
+        let of_view = |view: &DepthMap| (0..view.depth.len()).filter_map(|i| view.confidence_at(i)).collect::<Vec<_>>();
+        let mut all: Vec<f32> = self.views.iter().flat_map(of_view).collect();
         if all.is_empty() {
             return CONFIDENT;
         }
         all.sort_by(f32::total_cmp);
         let [low, high] = SHARES.map(|fraction| all[(fraction * (all.len() - 1) as f64) as usize]);
         CONFIDENT.clamp(low, high)
+    }
+}
+
+impl DepthMap {
+    /// Confidence of a pixel's point.
+    fn confidence_at(&self, pixel: usize) -> Option<f32> {
+        let of_depth = self.confidence.as_ref().map(|confidence| confidence[pixel]);
+        self.points.as_ref().map_or(of_depth, |points| Some(points[pixel][3]))
     }
 }

@@ -5,24 +5,27 @@
 //! as pictures of as many channels. Tokens' features need memory for one row per token instead of
 //! one per Gaussian.
 
+mod memory;
+mod plan;
 mod selection;
+
+pub use memory::LiftMemory;
 
 use crate::{
     Error, Result,
-    gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Arena, Device, Run, Tensor},
     stages::{
-        FrameShape,
+        FrameShape, ViewGrid,
         render::{
-            CameraRows, DeviceScene, FeatureRows, PlanCache, PlanKey, RenderOptions, Renderer, VECTOR, VECTORS_AT_ONCE,
-            camera_rows, check_camera, first_capacity, record_lift, record_pictures,
+            DeviceScene, FeatureRows, PlanCache, PlanKey, Renderer, VECTOR, VECTORS_AT_ONCE, camera_rows, check_camera,
+            first_capacity,
         },
     },
     types::{Camera, Scene},
 };
-use std::{iter::zip, sync::Arc};
+use plan::{FeaturePlan, Job, Part, job, vectors_at_once};
+use std::{iter::zip, ops::Range};
 
-/// Bytes of values on the device beside the scene. More channels are processed in parts.
-const PART_BYTES: usize = 256 << 20;
 /// Channels that a pixel blends at once.
 const CHANNELS_AT_ONCE: usize = VECTOR * VECTORS_AT_ONCE;
 
@@ -37,6 +40,15 @@ pub struct PixelValues {
     pub channels: usize,
     /// All values.
     pub values: Vec<f32>,
+}
+
+impl PixelValues {
+    /// Splits values `[views, rows, columns, channels]`, a cell per patch.
+    pub(crate) fn of_patches(grid: ViewGrid, channels: usize, values: &[f32]) -> Vec<Self> {
+        let (width, height) = (grid.columns as u32, grid.rows as u32);
+        let view = |values: &[f32]| Self { width, height, channels, values: values.to_vec() };
+        values.chunks_exact(grid.patches() * channels).map(view).collect()
+    }
 }
 
 /// Values of Gaussians or tokens, `[rows, channels]`.
@@ -83,32 +95,6 @@ pub struct FeatureRenderer {
     plans: PlanCache<Job, FeaturePlan>,
 }
 
-#[derive(Clone, Copy, PartialEq)]
-struct Job {
-    group: usize,
-    antialiased: bool,
-    near: f32,
-    /// Vectors of a part, and the cells to lift from; pictures have none.
-    vectors: usize,
-    cells: Option<[u32; 2]>,
-}
-
-struct FeaturePlan {
-    run: Run,
-    camera: Tensor,
-    /// To lift from.
-    values: Option<Tensor>,
-    pictures: Vec<Tensor>,
-    status: Tensor,
-}
-
-struct Part {
-    resident: Arc<Resident>,
-    /// One, or one per pass of drawing.
-    features: Vec<Tensor>,
-    totals: Tensor,
-}
-
 impl FeatureRenderer {
     /// Creates its own arena.
     pub fn new(device: &Device) -> Self {
@@ -138,27 +124,51 @@ impl FeatureRenderer {
         }
         let device_scene = self.load(scene)?;
         let _claim = self.arena.claim().expect("nobody else knows it");
-        let vectors = channels.div_ceil(VECTOR).min(self.vectors_at_once(rows.count + self.plans.capacity));
-        for first in (0..channels).step_by(VECTOR * vectors) {
-            let width = (VECTOR * vectors).min(channels - first);
-            let vectors = width.div_ceil(VECTOR);
-            let part = self.part(rows.count, &[vectors])?;
-            for (i, camera) in cameras.iter().enumerate() {
-                let values = values(i)?;
-                let cells = check_values(&values, i, channels)?;
-                let padded = padded(&values.values, channels, first..first + width, VECTOR * vectors, is_counted);
-                let job = Job { vectors, cells: Some(cells), ..job(scene, group) };
-                self.run(&device_scene, camera, job, &part, Some(&padded), |_, _| Ok(()))?;
-            }
-            let sums: Vec<f32> = part.resident.read(part.features[0])?;
-            lifted.weights = part.resident.read(part.totals)?;
-            let rows = zip(sums.chunks_exact(VECTOR * vectors), &lifted.weights);
-            for ((sums, weight), row) in zip(rows, lifted.features.values.chunks_exact_mut(channels)) {
-                let mean = |sum: f32| if *weight > 0.0 { sum / weight } else { 0.0 };
-                zip(&mut row[first..first + width], sums).for_each(|(to, sum)| *to = mean(*sum));
+        let mut vectors = channels.div_ceil(VECTOR).min(self.vectors_at_once(rows.count + self.plans.capacity));
+        let mut first = 0;
+        while first < channels {
+            let part = first..channels.min(first + VECTOR * vectors);
+            first = part.end;
+            match self.lift_part(&device_scene, scene, cameras, part.clone(), &mut values, &mut lifted) {
+                // Intersections exceeded the first capacity.
+                Err(Error::Memory { .. }) if vectors > 1 => (vectors, first) = (vectors / 2, part.start),
+                done => done?,
             }
         }
         Ok(lifted)
+    }
+
+    fn lift_part(
+        &mut self,
+        device_scene: &DeviceScene,
+        scene: &Scene,
+        cameras: &[Camera],
+        columns: Range<usize>,
+        values: &mut impl FnMut(usize) -> Result<PixelValues>,
+        lifted: &mut Lifted,
+    ) -> Result<()> {
+        let Features { channels, group, .. } = lifted.features;
+        let vectors = columns.len().div_ceil(VECTOR);
+        let part = self.part(lifted.weights.len(), &[vectors])?;
+        for (i, camera) in cameras.iter().enumerate() {
+            let values = values(i)?;
+            let cells = check_values(&values, i, channels)?;
+            let padded = padded(&values.values, channels, columns.clone(), VECTOR * vectors, is_counted);
+            let job = Job { vectors, cells: Some(cells), ..job(scene, group) };
+            self.run(device_scene, camera, job, &part, Some(&padded), |_, _| Ok(()))?;
+        }
+        let sums: Vec<f32> = part.resident.read(part.tensors.features[0])?;
+        lifted.weights = part.resident.read(part.tensors.totals)?;
+        let rows = zip(sums.chunks_exact(VECTOR * vectors), &lifted.weights);
+        for ((sums, weight), row) in zip(rows, lifted.features.values.chunks_exact_mut(channels)) {
+            let mean = |sum: f32| if *weight > 0.0 { sum / weight } else { 0.0 };
+            zip(&mut row[columns.clone()], sums).for_each(|(to, sum)| *to = mean(*sum));
+        }
+        Ok(())
+    }
+
+    fn vectors_at_once(&self, rows: usize) -> usize {
+        vectors_at_once(self.arena.device().limits(), rows)
     }
 
     /// Draws features as pictures of the same channels, 0 where nothing is.
@@ -187,7 +197,7 @@ impl FeatureRenderer {
                 let first = first + pass * CHANNELS_AT_ONCE;
                 first..(first + CHANNELS_AT_ONCE).min(channels)
             };
-            for (pass, tensor) in part.features.iter().enumerate() {
+            for (pass, tensor) in part.tensors.features.iter().enumerate() {
                 let values = padded(&features.values, channels, range(pass), CHANNELS_AT_ONCE, |_| true);
                 part.resident.write(*tensor, &values)?;
             }
@@ -213,10 +223,6 @@ impl FeatureRenderer {
         Part::new(self.arena.device(), rows, vectors)
     }
 
-    fn vectors_at_once(&self, rows: usize) -> usize {
-        (PART_BYTES / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)
-    }
-
     fn load(&mut self, scene: &Scene) -> Result<DeviceScene> {
         let capacity = self.plans.capacity.max(first_capacity(scene.len()));
         self.plans = PlanCache::new(self.arena.device().limits(), capacity);
@@ -239,68 +245,17 @@ impl FeatureRenderer {
         loop {
             let plan =
                 self.plans.get(key, |capacity| FeaturePlan::new(&self.arena, scene, shape, job, part, capacity))?;
-            plan.run.write(plan.camera, &[camera_rows(camera)])?;
-            if let Some((tensor, values)) = plan.values.zip(values) {
+            plan.run.write(plan.tensors.camera, &[camera_rows(camera)])?;
+            if let Some((tensor, values)) = plan.tensors.values.zip(values) {
                 plan.run.write(tensor, values)?;
             }
             plan.run.execute()?;
-            let status: Vec<u32> = plan.run.read(plan.status)?;
+            let status: Vec<u32> = plan.run.read(plan.tensors.status)?;
             let needed = if status[2] == 0 { status[1] as usize } else { 1 << 32 };
             if let Some(plan) = self.plans.fitting(needed)? {
-                return read(&plan.run, &plan.pictures);
+                return read(&plan.run, &plan.tensors.pictures);
             }
         }
-    }
-}
-
-impl FeaturePlan {
-    fn new(
-        arena: &Arena,
-        scene: &DeviceScene,
-        shape: FrameShape,
-        job: Job,
-        part: &Part,
-        capacity: usize,
-    ) -> Result<Self> {
-        let mut rec = Recorder::new(arena.device().limits());
-        let camera = rec.input::<CameraRows>("cameras", 1);
-        let options = RenderOptions {
-            rgb: false,
-            near: Some(job.near),
-            antialiased: Some(job.antialiased),
-            ..RenderOptions::default()
-        };
-        let tensors = scene.tensors();
-        let (values, pictures, status) = match job.cells {
-            Some(cells) => {
-                let count = cells[0] as usize * cells[1] as usize * job.vectors;
-                let values = rec.input::<[f32; VECTOR]>("values", count);
-                let rows = FeatureRows { count: tensors.len.div_ceil(job.group), group: job.group };
-                let into = (rows, part.features[0], part.totals);
-                let values_of = (values, cells, job.vectors);
-                let status = record_lift(&mut rec, tensors, camera, shape, &options, capacity, values_of, into);
-                (Some(values), Vec::new(), status)
-            }
-            None => {
-                let from = (&part.features[..], job.group);
-                let (pictures, status) = record_pictures(&mut rec, tensors, camera, shape, &options, capacity, from);
-                (None, pictures, status)
-            }
-        };
-        let run = Run::in_arena(arena, 0, rec.finish()?, [scene.resident().clone(), part.resident.clone()])?;
-        Ok(Self { run, camera, values, pictures, status })
-    }
-}
-
-impl Part {
-    fn new(device: &Device, rows: usize, vectors: &[usize]) -> Result<Self> {
-        let mut layout = ResidentLayout::new(device.limits());
-        let features = vectors.iter().map(|vectors| layout.add::<[f32; VECTOR]>(rows * vectors)).collect();
-        let totals = layout.add::<f32>(rows);
-        let part = Self { resident: Arc::new(Resident::new(device, &layout)?), features, totals };
-        let zero = |tensor: &Tensor| part.resident.write(*tensor, &vec![0u8; tensor.bytes() as usize]);
-        part.features.iter().chain([&part.totals]).try_for_each(zero)?;
-        Ok(part)
     }
 }
 
@@ -310,10 +265,6 @@ fn rows(scene: &Scene, group: usize) -> Result<FeatureRows> {
         return Err(Error::argument("Gaussians per feature", group, expected));
     }
     Ok(FeatureRows { count: scene.len() / group, group })
-}
-
-fn job(scene: &Scene, group: usize) -> Job {
-    Job { group, antialiased: scene.antialiased, near: scene.near(), vectors: 0, cells: None }
 }
 
 fn check(cameras: &[Camera]) -> Result<()> {
@@ -338,7 +289,7 @@ fn is_counted(row: &[f32]) -> bool {
 fn padded(
     values: &[f32],
     channels: usize,
-    columns: std::ops::Range<usize>,
+    columns: Range<usize>,
     width: usize,
     is_valid: impl Fn(&[f32]) -> bool,
 ) -> Vec<f32> {

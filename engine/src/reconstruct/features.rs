@@ -43,14 +43,8 @@ impl BackboneFeatures {
 
     /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each view.
     pub fn patch_tokens(&self) -> Result<Vec<PixelValues>> {
-        let ViewGrid { rows, columns, .. } = self.shape.grid;
-        let layer = &self.tensors.layers[0];
-        let values: Vec<f32> = self.memory.read(layer.tensor)?;
-        let view = |values: &[f32]| {
-            let (width, height) = (columns as u32, rows as u32);
-            PixelValues { width, height, channels: layer.width, values: values.to_vec() }
-        };
-        Ok(values.chunks_exact(rows * columns * layer.width).map(view).collect())
+        let values: Vec<f32> = self.memory.read(self.tensors.layers[0].tensor)?;
+        Ok(PixelValues::of_patches(self.shape.grid, self.channels(), &values))
     }
 }
 

@@ -5,15 +5,16 @@ mod network;
 mod options;
 mod patches;
 mod prepare;
+mod token_selection;
 
 pub use features::{BackboneFeatures, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
-pub use options::{
-    MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape, TokenSampling, TokenSelection,
-};
-pub(crate) use options::{check_cameras, grid, size_of};
+pub use options::{MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape};
+pub(crate) use options::{check_cameras, grid, no_camera_encoder, size_of};
 pub use patches::Patches;
 pub use prepare::{Placement, Prepared};
+pub(crate) use token_selection::SelectedTokens;
+pub use token_selection::{TokenSampling, TokenSelection};
 
 use crate::{
     Error, Result,
@@ -317,10 +318,7 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, options: &Reconstru
     if let Some(scene_scale) = choice.scene_scale {
         run.write(scene_scale, &[options.scale() as f32])?;
     }
-    if let Some(tensor) = choice.indices {
-        run.write(tensor, &options.token_selection.indices(shape.grid.tokens(), shape.tokens))?;
-    }
-    Ok(())
+    choice.selected.write(run, &options.token_selection, shape.grid.tokens(), shape.tokens)
 }
 
 /// RGB8 to `[views, 3, height, width]` f32 in 0..1. The network sees masked pixels as gray.

@@ -1,9 +1,9 @@
-use super::{Shape, TokenSampling};
+use super::{SelectedTokens, Shape};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
     ops::{Arithmetic, ParameterLayout, Pool, Rows, join_columns},
-    stages::{Architecture, Stages, ViewGrid, cluster, render::SceneTensors},
+    stages::{Architecture, Stages, ViewGrid, render::SceneTensors},
     types::Scene,
     weights::Checkpoint,
 };
@@ -34,9 +34,7 @@ pub(super) struct Inputs {
 pub(super) struct Choice {
     /// `[1]` f32 scene scale.
     pub scene_scale: Option<Tensor>,
-    pub indices: Option<Tensor>,
-    /// `[tokens]` u32, from k-means.
-    pub chosen: Option<Tensor>,
+    pub selected: SelectedTokens,
 }
 
 #[derive(Clone, Debug)]
@@ -161,19 +159,12 @@ impl Network {
     fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Choice, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
-        let indices = (shape.kept != TokenSampling::All).then(|| rec.input::<u32>("indices", tokens));
-        let clustered = rec.scope("cluster", |rec| match (indices, shape.kept) {
-            (Some(initial), TokenSampling::Kmeans(rounds)) => {
-                Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, tokens, rounds))
-            }
-            _ => None,
-        });
-        clustered.into_iter().for_each(|chosen| rec.output(chosen));
-        let chosen = clustered.or(indices).map(|indices| (indices, tokens));
+        let selected = shape.kept.record(rec, self.parameters.nearest(), layers[0], grid, tokens);
+        let chosen = selected.tensor().map(|indices| (indices, tokens));
         let pool = Pool::of(shape.kv_pool, [grid.rows, grid.columns], 0);
         let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen, pool));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
-        (Choice { scene_scale: None, indices, chosen: clustered }, [scene, colors])
+        (Choice { scene_scale: None, selected }, [scene, colors])
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> Inputs {

@@ -1,12 +1,8 @@
-use std::fmt;
-
+use super::{TokenSampling, TokenSelection};
 use crate::{
     Error, Result,
     ops::Pool,
-    stages::{
-        Architecture, ViewGrid,
-        cluster::{ROUNDS, auto_ratio, cluster_count, even_indices, random_indices},
-    },
+    stages::{Architecture, ViewGrid, cluster::auto_ratio},
     types::{Camera, Image, SkippedPass, poses::Capture},
 };
 
@@ -15,8 +11,6 @@ pub const MAX_VIEWS: usize = 192;
 
 /// Maximum patches, for 32-bit indices.
 pub const MAX_PATCHES: usize = 1 << 20;
-
-const MAX_ROUNDS: usize = 100;
 
 /// Ratio of kept tokens.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,34 +21,14 @@ pub enum Ratio {
     Auto,
 }
 
-/// Token selection.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum TokenSelection {
-    /// Tokens nearest to k-means centroids, after a number of rounds.
-    Kmeans(usize),
-    /// Evenly spread.
-    Stride,
-    /// Random, reproducible by seed.
-    Random(u64),
-    /// Explicit indices.
-    Given(Vec<u32>),
-}
-
-impl fmt::Display for TokenSelection {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl Ratio {
+    pub(super) fn of(self, views: usize) -> Result<f64> {
         match self {
-            Self::Kmeans(ROUNDS) => write!(f, "kmeans"),
-            Self::Kmeans(rounds) => write!(f, "kmeans:{rounds}"),
-            Self::Stride => write!(f, "stride"),
-            Self::Random(seed) => write!(f, "random:{seed}"),
-            Self::Given(indices) => write!(f, "{} indices", indices.len()),
+            Self::Auto => Ok(auto_ratio(views)),
+            Self::Fixed(r) if r > 0.0 && r <= 1.0 => Ok(r),
+            Self::Fixed(r) => Err(Error::argument("ratio", r, "a number in (0, 1], or auto")),
         }
     }
-}
-
-impl TokenSelection {
-    /// The reference's rounds.
-    pub const KMEANS: Self = Self::Kmeans(ROUNDS);
 }
 
 /// Reconstruction options.
@@ -127,17 +101,6 @@ pub struct Shape {
     pub kv_pool: usize,
 }
 
-/// Kept tokens.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TokenSampling {
-    /// All, without clustering.
-    All,
-    /// Nearest to k-means centroids.
-    Kmeans(usize),
-    /// Indices from an input.
-    Indices,
-}
-
 impl Shape {
     /// Returns the shape for `views` images of `[width, height]` pixels.
     pub fn new(
@@ -149,7 +112,7 @@ impl Shape {
     ) -> Result<Self> {
         let grid = grid(architecture.patch_size, views, width as usize, height as usize)?;
         if cameras && !architecture.takes_cameras() {
-            return Err(Error::argument("cameras", "some", format!("none: {} knows no cameras", architecture.name)));
+            return Err(Error::argument("cameras", "some", no_camera_encoder(&architecture.name)));
         }
         let (tokens, kept) = TokenSampling::of(grid, chosen)?;
         Ok(Self { grid, tokens, kept, cameras, kv_pool: 1 })
@@ -170,9 +133,9 @@ impl Shape {
         match self.kept {
             TokenSampling::All => skipped_passes.push(SkippedPass::new("cluster", "every token is kept")),
             TokenSampling::Indices => {
-                skipped_passes.push(SkippedPass::new("cluster", "tokens are not chosen by k-means"))
+                skipped_passes.push(SkippedPass::new("cluster", "tokens are not chosen by their features"))
             }
-            TokenSampling::Kmeans(_) => {}
+            TokenSampling::Kmeans(_) | TokenSampling::MutualNearest => {}
         }
         if !self.cameras {
             skipped_passes.push(SkippedPass::new("camera encoder", "no cameras are given"));
@@ -182,52 +145,6 @@ impl Shape {
             skipped_passes.push(SkippedPass::new("keys of single patches", why));
         }
         skipped_passes
-    }
-}
-
-impl TokenSampling {
-    pub(crate) fn of(grid: ViewGrid, chosen: (Ratio, &TokenSelection)) -> Result<(usize, Self)> {
-        let all = grid.tokens();
-        if let TokenSelection::Kmeans(rounds) = chosen.1
-            && !(1..=MAX_ROUNDS).contains(rounds)
-        {
-            return Err(Error::argument("rounds of k-means", rounds, format!("1 to {MAX_ROUNDS}")));
-        }
-        let tokens = match chosen {
-            (_, TokenSelection::Given(indices)) => {
-                if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
-                    let found = format!("{} indices", indices.len());
-                    return Err(Error::argument("given tokens", found, format!("at least one, all below {all}")));
-                }
-                indices.len()
-            }
-            (wanted, _) => cluster_count(all, ratio(wanted, grid.views)?),
-        };
-        let kept = match chosen.1 {
-            TokenSelection::Given(_) => TokenSampling::Indices,
-            _ if tokens == all => TokenSampling::All,
-            TokenSelection::Kmeans(rounds) => TokenSampling::Kmeans(*rounds),
-            TokenSelection::Stride | TokenSelection::Random(_) => TokenSampling::Indices,
-        };
-        Ok((tokens, kept))
-    }
-}
-
-impl TokenSelection {
-    pub(crate) fn indices(&self, all: usize, tokens: usize) -> Vec<u32> {
-        match self {
-            Self::Kmeans(_) | Self::Stride => even_indices(all, tokens),
-            Self::Random(seed) => random_indices(all, tokens, *seed),
-            Self::Given(indices) => indices.clone(),
-        }
-    }
-}
-
-fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
-    match ratio {
-        Ratio::Auto => Ok(auto_ratio(views)),
-        Ratio::Fixed(r) if r > 0.0 && r <= 1.0 => Ok(r),
-        Ratio::Fixed(r) => Err(Error::argument("ratio", r, "a number in (0, 1], or auto")),
     }
 }
 
@@ -244,6 +161,11 @@ pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> 
         }
     }
     Ok(())
+}
+
+/// Expectation of a network without an input for cameras.
+pub(crate) fn no_camera_encoder(network: &str) -> String {
+    format!("none: {network} has no camera encoder; networks of ZipSplat and Depth Anything 3 have one")
 }
 
 pub(crate) fn size_of(images: &[Image]) -> Result<[u32; 2]> {

@@ -41,11 +41,7 @@ impl Patches {
     }
 
     pub(super) fn of(run: &Run, choice: Choice, shape: Shape, options: &ReconstructOptions) -> Result<Self> {
-        let kept = match (choice.chosen, choice.indices) {
-            (Some(chosen), _) => Some(run.read(chosen)?),
-            (None, Some(_)) => Some(options.token_selection.indices(shape.grid.tokens(), shape.tokens)),
-            (None, None) => None,
-        };
+        let kept = choice.selected.read(run, &options.token_selection, shape.grid.tokens(), shape.tokens)?;
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })
     }
 

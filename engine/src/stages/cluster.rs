@@ -1,17 +1,20 @@
-//! Token selection by k-means.
+//! Token selection by features.
 //!
 //! Source: ZipSplat, section 3.1, "Compression by clustering".
 
 use crate::{
-    gpu::{Recorder, Tensor},
+    gpu::{Element, Recorder, Tensor},
     kernels::cluster as kernels,
     ops::{
-        Nearest, NearestKernel, Rows, gather_rows,
+        Nearest, NearestKernel, Rows, gather_rows, place_groups,
         scan::exclusive_scan,
         sort::{key_bits, key_starts, sort_pairs},
     },
     random::Random,
 };
+
+/// Values of 4 bytes between aligned slices.
+const SLICE: usize = 64;
 
 /// The reference's k-means rounds.
 pub const ROUNDS: usize = 5;
@@ -86,6 +89,44 @@ pub fn record(
     chosen
 }
 
+/// Records the selection of `count` tokens of `views` by mutual nearest neighbors, `[count]` u32.
+///
+/// Of the tokens that show a point, the first view's remains. The paper's appendix D tries such
+/// matching; the order is this project's.
+pub fn mutual(rec: &mut Recorder, kernel: NearestKernel, tokens: Rows, views: usize, count: usize) -> Tensor {
+    let Rows { count: all, width, .. } = tokens;
+    let (patches, pitch) = (all / views, all.next_multiple_of(SLICE));
+    let nearest = Nearest::among(rec, kernel, tokens);
+    let token_rows = nearest.rows(rec, tokens);
+    let lists = rec.tensor::<u32>("nearest_by_view", views * pitch);
+    for view in 0..views {
+        // Rows of a view may start off a slice's alignment.
+        let of_view = Rows::scratch(rec, "view", patches, width, Element::F32);
+        place_groups(rec, tokens, [view * patches, patches, all], of_view, 0);
+        let of_view = nearest.rows(rec, of_view);
+        nearest.record_into(rec, token_rows, of_view, lists.slice::<u32>(view * pitch, all));
+    }
+    let (keys, bits) = (rec.tensor::<u32>("keys", all), key_bits(all).max(1));
+    let [views, patches, pitch] = [views, patches, pitch].map(|size| size as u32);
+    rec.dispatch(kernels::Mutual { nearest: lists, keys, views, patches, pitch, bits }, all);
+    let (indices, index_count) = enumerate(rec, all);
+    let (_, order) = sort_pairs(rec, keys, indices, index_count, all, bits + key_bits(views as usize));
+    let chosen = rec.tensor::<u32>("chosen", count);
+    rec.copy(order.slice::<u32>(0, count), chosen);
+    rec.observe("nearest", chosen);
+    chosen
+}
+
+/// Returns the indices below `count`, `[count]` u32, and their number, `[1]` u32.
+fn enumerate(rec: &mut Recorder, count: usize) -> (Tensor, Tensor) {
+    let indices = rec.tensor::<u32>("points", count);
+    rec.fill(indices, 1);
+    exclusive_scan(rec, indices, count);
+    let index_count = rec.tensor::<u32>("point_count", 1);
+    rec.fill(index_count, count as u32);
+    (indices, index_count)
+}
+
 #[derive(Clone, Copy, Debug)]
 pub struct Means {
     points: Tensor,
@@ -94,11 +135,7 @@ pub struct Means {
 
 impl Means {
     pub fn new(rec: &mut Recorder, count: usize) -> Self {
-        let points = rec.tensor::<u32>("points", count);
-        rec.fill(points, 1);
-        exclusive_scan(rec, points, count);
-        let point_count = rec.tensor::<u32>("point_count", 1);
-        rec.fill(point_count, count as u32);
+        let (points, point_count) = enumerate(rec, count);
         Self { points, point_count }
     }
 

@@ -12,6 +12,15 @@ const BACKBONE: &str = "model.backbone.pretrained";
 const AGGREGATOR: &str = "aggregator.";
 const GAUSSIANS: &str = "model.gs_head.";
 
+/// Optional heads of a depth network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DepthHeads {
+    /// Gaussians per pixel, of Depth Anything 3's da3-giant.
+    pub gaussians: bool,
+    /// World points per pixel, of VGGT.
+    pub points: bool,
+}
+
 /// A [`DepthArchitecture`] with its tensors.
 #[derive(Debug)]
 pub struct DepthCheckpoint {
@@ -43,29 +52,29 @@ impl DepthCheckpoint {
     }
 
     /// Opens with the Gaussian head, if there is one.
-    pub fn whole(open: impl Fn(bool) -> Result<Self>) -> Result<Self> {
-        let found = open(false)?;
-        if found.of_gaussians { open(true) } else { Ok(found) }
+    pub fn whole(open: impl Fn(DepthHeads) -> Result<Self>) -> Result<Self> {
+        let found = open(DepthHeads::default())?;
+        if found.of_gaussians { open(DepthHeads { gaussians: true, points: false }) } else { Ok(found) }
     }
 
     /// Opens `seeded:NAME` or a path.
-    pub fn parse(text: &str, gaussians: bool) -> Result<Self> {
+    pub fn parse(text: &str, heads: DepthHeads) -> Result<Self> {
         match text.strip_prefix("seeded:") {
             Some(name) => {
                 let known = DepthArchitecture::named(name)?;
                 let of_gaussians = known.gaussians;
-                Ok(Self { of_gaussians, ..Self::seeded(with_or_without(known, gaussians)?, name)? })
+                Ok(Self { of_gaussians, ..Self::seeded(with_heads(known, heads)?, name)? })
             }
-            None => Self::open(text, gaussians),
+            None => Self::open(text, heads),
         }
     }
 
-    /// Opens a released `model.safetensors` or a saved file, optionally with the Gaussian head.
+    /// Opens a released `model.safetensors` or a saved file with `heads`.
     ///
     /// # Errors
-    /// As [`Checkpoint::open`](super::Checkpoint::open); [`Error::Argument`] without the Gaussian
-    /// head.
-    pub fn open(path: impl AsRef<Path>, gaussians: bool) -> Result<Self> {
+    /// As [`Checkpoint::open`](super::Checkpoint::open); [`Error::Argument`] for a network without
+    /// such a head.
+    pub fn open(path: impl AsRef<Path>, heads: DepthHeads) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
         let contents = safetensors::contents(path, &file)?;
@@ -73,7 +82,7 @@ impl DepthCheckpoint {
             Some(stated) => stated.clone(),
             None => inferred(&contents, path)?,
         };
-        let architecture = with_or_without(known, gaussians)?;
+        let architecture = with_heads(known, heads)?;
         Self::of(path, file, contents, architecture)
     }
 
@@ -117,7 +126,7 @@ impl DepthCheckpoint {
     }
 }
 
-fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArchitecture> {
+fn with_heads(known: DepthArchitecture, DepthHeads { gaussians, points }: DepthHeads) -> Result<DepthArchitecture> {
     if gaussians && !known.gaussians {
         return Err(Error::argument(
             "network for Gaussians",
@@ -125,7 +134,10 @@ fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArc
             "da3-giant, which alone has a head for them",
         ));
     }
-    Ok(DepthArchitecture { gaussians, ..known })
+    if points && known.camera_head.is_none() {
+        return Err(Error::argument("network for points", &known.name, "VGGT, which alone has a head for them"));
+    }
+    Ok(DepthArchitecture { gaussians, points, ..known })
 }
 
 fn is_unused(name: &str) -> bool {

@@ -20,7 +20,7 @@ mod variant;
 use std::path::Path;
 
 pub use checkpoint::Checkpoint;
-pub use depth::DepthCheckpoint;
+pub use depth::{DepthCheckpoint, DepthHeads};
 pub use tensor::Dtype;
 pub use tensors::Tensors;
 pub use values::Values;

@@ -1,8 +1,9 @@
-//! Token clustering: k-means, then the token nearest to each centroid.
+//! Token selection: k-means, then the token nearest to each centroid; mutual nearest neighbors.
 
 pub mod halves;
 pub mod kmeans;
 pub mod mean;
+pub mod mutual;
 pub mod nearest;
 pub mod origin;
 pub mod panels;

@@ -50,7 +50,7 @@ fn known_cameras_are_refused() {
     let images = pictures(2, [42, 28]);
     let cameras = Some(vec![camera(42, 28); 2]);
     let request = ReconstructOptions { cameras, ..ReconstructOptions::default() };
-    assert_refused(model(Arithmetic::EXACT).shape(&images, &request), &["cameras", "vggt", "knows no cameras"]);
+    assert_refused(model(Arithmetic::EXACT).shape(&images, &request), &["cameras", "vggt", "has no camera encoder"]);
 }
 
 #[test]

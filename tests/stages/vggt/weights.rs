@@ -3,7 +3,7 @@
 use crate::depth::architecture;
 use std::collections::BTreeMap;
 use tempfile::TempDir;
-use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
+use zipsplat::weights::{DepthArchitecture, DepthCheckpoint, DepthHeads};
 use zipsplat_tests::prelude::*;
 
 #[test]
@@ -18,11 +18,14 @@ fn released_layouts_of_vggt_are_read() {
     let saved = folder.path().join("saved.safetensors");
     let smaller = DepthCheckpoint::open_architecture(&path, DepthArchitecture { points: false, ..a.clone() }).unwrap();
     smaller.save_with(&saved, Dtype::F32, |_| ControlFlow::Continue(())).unwrap();
-    let again = DepthCheckpoint::open(&saved, false).unwrap();
+    let again = DepthCheckpoint::open(&saved, DepthHeads::default()).unwrap();
     assert_eq!(again.architecture(), smaller.architecture());
     assert!(DepthCheckpoint::is_meant(saved.to_str().unwrap()) && again.parameters().len() < read.parameters().len());
-    assert_refused(DepthCheckpoint::open(&path, true), &["vggt-1b", "da3-giant"]);
-    assert!(matches!(DepthCheckpoint::open(&path, false), Err(Error::Weights { .. })));
+    assert_refused(
+        DepthCheckpoint::open(&path, DepthHeads { gaussians: true, points: false }),
+        &["vggt-1b", "da3-giant"],
+    );
+    assert!(matches!(DepthCheckpoint::open(&path, DepthHeads::default()), Err(Error::Weights { .. })));
 }
 
 #[test]

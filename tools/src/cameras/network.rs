@@ -12,6 +12,7 @@ use zipsplat::{
     depth::DepthOptions,
     stages::Family,
     types::{poses::Capture, write_points},
+    weights::DepthHeads,
 };
 
 impl EstimatedCameras {
@@ -28,7 +29,7 @@ impl EstimatedCameras {
         };
         let expected = format!("--depth-weights NAME|FILE, weights of {of}: {name}, or a model.safetensors");
         let none = || Error::argument("cameras of a network", "no weights", &expected);
-        let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
+        let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, DepthHeads::default())?;
         let network = checkpoint.architecture();
         if network.backbone.family != family {
             return Err(Error::argument("cameras of a network", &network.name, expected));

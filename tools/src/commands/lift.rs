@@ -7,17 +7,18 @@ use crate::{
 };
 use clap::Args;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use zipsplat::{
-    Result,
-    features::{FeatureRenderer, PixelValues},
+    Camera, Result, Scene,
+    features::{FeatureRenderer, LiftMemory, PixelValues},
+    gpu::Limits,
     types::read_world,
 };
 
 /// Lift values of photos' pixels to Gaussians: features, masks or labels
 ///
-/// Without VALUES these are the patch tokens of a network's last layer, of the built-in model or
-/// --weights, with mean 0 and standard deviation 1 per channel.
+/// Without VALUES these are the patch tokens of a network's last layer: of the built-in model or of
+/// --weights, also Depth Anything 3's or VGGT's. Each channel has mean 0 and standard deviation 1.
 ///
 /// A Gaussian gets the mean of all pixels' values, weighted by its blending weights. Writes
 /// safetensors: features [rows, channels], weights [rows] in pixels, and the scene's hash.
@@ -48,9 +49,12 @@ pub struct Lift {
     /// Consecutive Gaussians per feature: 1, or those of a token
     #[arg(long, value_name = "N", default_value_t = 1)]
     gaussians_per_token: usize,
+    /// Print the memory plan of VALUES and stop; --device none plans for a typical GPU
+    #[arg(long, requires = "values", conflicts_with = "output")]
+    dry_run: bool,
     /// File to write: .safetensors
-    #[arg(long, short, value_name = "FILE")]
-    output: PathBuf,
+    #[arg(long, short, value_name = "FILE", required_unless_present = "dry_run")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
@@ -58,8 +62,15 @@ pub struct Lift {
 }
 
 impl Lift {
+    pub fn plans(&self) -> bool {
+        self.dry_run
+    }
+
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        self.overwrite.check_file(&self.output)?;
+        let output = self.output.as_deref().unwrap_or(Path::new(""));
+        if !self.dry_run {
+            self.overwrite.check_file(output)?;
+        }
         let (scene, _) = self.input.read(session, &self.scene)?;
         let world = read_world(&self.scene)?;
         let labels = self.labels.map(usize::from);
@@ -75,25 +86,49 @@ impl Lift {
                 (cameras, Box::new(move |i| Ok(values[i].clone())))
             }
         };
-        let channels = values(0)?.channels;
+        let first = values(0)?;
+        let channels = first.channels;
+        if self.dry_run {
+            return self.plan(session, &scene, &cameras, &first);
+        }
         let device = session.device()?;
         let (lifted, _) = session.stage("lift", |_| {
             FeatureRenderer::new(&device).lift(&scene, &cameras, self.gaussians_per_token, channels, values)
         })?;
-        lifted::save(&self.output, &lifted, &scene)?;
-        let (rows, written) = (lifted.weights.len(), size_of(&self.output)?);
+        lifted::save(output, &lifted, &scene)?;
+        let (rows, written) = (lifted.weights.len(), size_of(output)?);
         let seen = lifted.weights.iter().filter(|weight| **weight > 0.0).count();
         let photos = cameras.len();
         let json = json!({
-            "output": self.output, "rows": rows, "seen": seen, "channels": channels, "photos": photos,
+            "output": output, "rows": rows, "seen": seen, "channels": channels, "photos": photos,
             "bytes": written,
         });
         let text = format!(
             "{}: {} of {channels} channels from {}, {seen} seen, {}",
-            self.output.display(),
+            output.display(),
             counted(rows, "feature"),
             counted(photos, "photo"),
             bytes(written)
+        );
+        session.report(&json, text)
+    }
+
+    fn plan(&self, session: &mut Session<'_>, scene: &Scene, cameras: &[Camera], first: &PixelValues) -> Result<()> {
+        let limits = session.planned_device()?.map_or_else(Limits::default, |device| device.limits().clone());
+        let (channels, cells) = (first.channels, [first.width, first.height]);
+        let plan = LiftMemory::of(&limits, scene, cameras, self.gaussians_per_token, channels, cells)?;
+        let json = json!({
+            "device": limits.name, "channels": channels, "photos": cameras.len(), "peak_bytes": plan.total(),
+            "scene_bytes": plan.scene, "feature_bytes": plan.features, "arena_bytes": plan.arena, "parts": plan.parts,
+        });
+        let text = format!(
+            "{channels} channels from {}: {}; Gaussians {}, features {}, arena {}; {} of the channels",
+            counted(cameras.len(), "photo"),
+            bytes(plan.total()),
+            bytes(plan.scene),
+            bytes(plan.features),
+            bytes(plan.arena),
+            counted(plan.parts, "part")
         );
         session.report(&json, text)
     }

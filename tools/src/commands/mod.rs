@@ -40,12 +40,14 @@ pub enum Command {
 
 impl Command {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        if session.plans_for_none() && !matches!(self, Command::Reconstruct(command) if command.plans()) {
-            return Err(Error::argument(
-                "--device",
-                "none",
-                "a device; none is for reconstruct --dry-run, which needs no device",
-            ));
+        let plans = match self {
+            Command::Reconstruct(command) => command.plans(),
+            Command::Lift(command) => command.plans(),
+            _ => false,
+        };
+        if session.plans_for_none() && !plans {
+            let expected = "a device; none is for --dry-run of reconstruct and lift, which needs no device";
+            return Err(Error::argument("--device", "none", expected));
         }
         match self {
             Command::Reconstruct(command) => command.run(session),

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Camera, Error, Result, SaveOptions, Scene,
     features::{FeatureRenderer, Lifted, PixelValues},
-    types::{Intrinsics, Lens, World, read_world},
+    types::{Intrinsics, Lens, PlyProperty, SceneFormat, World, read_ply_property, read_world, write_ply_with},
 };
 
 /// Least mean of a mask's values, and pixels of weight, of a Gaussian inside.
@@ -54,6 +54,13 @@ pub struct Select {
     /// Write the scene without the selection
     #[arg(long)]
     remove: bool,
+    /// Write the whole scene with a PLY property NAME, 1 for the selection and 0 for the rest;
+    /// other programs ignore it
+    #[arg(long, value_name = "NAME", conflicts_with = "remove")]
+    tag: Option<String>,
+    /// Select Gaussians whose PLY property NAME is at least 0.5
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["masks", "at"])]
+    tagged: Option<String>,
     /// Scene to write: .ply, .spz, .sog, .splat, .glb or .gltf
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
@@ -71,13 +78,28 @@ fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
 impl Select {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_scene(&self.output)?;
+        let is_ply = |path: &Path| SceneFormat::of_extension(path) == Some(SceneFormat::Ply);
+        let lacks = [(&self.tag, &self.output), (&self.tagged, &self.scene)];
+        if let Some((_, path)) = lacks.into_iter().find(|(name, path)| name.is_some() && !is_ply(path)) {
+            return Err(Error::argument("PLY property", path.display(), "a .ply file"));
+        }
         let (scene, _) = self.input.read(session, &self.scene)?;
         let world = read_world(&self.scene)?;
         let features = self.features.as_ref().map(|path| lifted::open(path, &scene)).transpose()?;
-        let seeds = match (&self.masks, self.at) {
-            (Some(folder), _) => self.inside(session, folder, &scene, world.as_ref())?,
-            (None, Some(at)) => self.behind(session, at, &scene, world.as_ref())?,
-            (None, None) => return Err(Error::argument("selection", "none", "--masks DIR, or --at X,Y")),
+        let seeds = match (&self.masks, self.at, &self.tagged) {
+            (Some(folder), ..) => self.inside(session, folder, &scene, world.as_ref())?,
+            (None, Some(at), _) => self.behind(session, at, &scene, world.as_ref())?,
+            (None, None, Some(name)) => {
+                let values = read_ply_property(&self.scene, name)?;
+                if values.len() != scene.len() {
+                    let expected = format!("{}, without --drop-invalid", values.len());
+                    return Err(Error::argument("Gaussians", scene.len(), expected));
+                }
+                (0..scene.len()).filter(|i| values[*i] >= INSIDE).collect()
+            }
+            (None, None, None) => {
+                return Err(Error::argument("selection", "none", "--masks DIR, --at X,Y or --tagged NAME"));
+            }
         };
         let selected = match &features {
             Some(features) => features.select(&scene, &seeds, self.threshold)?,
@@ -85,14 +107,23 @@ impl Select {
         };
         let mut is_selected = vec![false; scene.len()];
         selected.iter().for_each(|i| is_selected[*i] = true);
-        let kept: Vec<usize> = (0..scene.len()).filter(|i| is_selected[*i] != self.remove).collect();
+        let kept: Vec<usize> =
+            (0..scene.len()).filter(|i| self.tag.is_some() || is_selected[*i] != self.remove).collect();
         if kept.is_empty() {
             let expected = "one that leaves Gaussians";
             return Err(Error::argument("selection", format!("{} of {}", selected.len(), scene.len()), expected));
         }
         let mut result = scene.clone();
         result.keep(&kept);
-        session.notes(outputs::save_scene(&self.output, &result, &SaveOptions::default(), world.as_ref())?);
+        match &self.tag {
+            Some(name) => {
+                let values: Vec<f32> = is_selected.iter().map(|is| f32::from(u8::from(*is))).collect();
+                write_ply_with(&result, &self.output, world.as_ref(), &PlyProperty { name, values: &values })?;
+            }
+            None => {
+                session.notes(outputs::save_scene(&self.output, &result, &SaveOptions::default(), world.as_ref())?);
+            }
+        }
         let json = json!({
             "output": self.output, "selected": selected.len(), "input_gaussians": scene.len(), "gaussians": kept.len(),
         });

@@ -16,7 +16,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    weights::{Checkpoint, DepthCheckpoint, Dtype},
+    weights::{Checkpoint, DepthCheckpoint, DepthHeads, Dtype},
 };
 
 /// List, download and locate named weights
@@ -226,7 +226,7 @@ impl Get {
         let converted = released.converted(archive);
         if released.kind == Kind::Depth {
             // Rejects unusable files early.
-            DepthCheckpoint::open(archive, false)?;
+            DepthCheckpoint::open(archive, DepthHeads::default())?;
             return report(session, released, archive);
         }
         let checkpoint = Checkpoint::open(archive, None)?;

@@ -42,7 +42,7 @@ pub struct Terminal<'a> {
 #[derive(Args)]
 pub struct Global {
     /// Vulkan device: number in `zipsplat doctor list`, UUID, or part of the name that is not all
-    /// digits; none: plan for a typical GPU, with `reconstruct --dry-run` [default: the best]
+    /// digits; none: plan for a typical GPU, with `--dry-run` [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Device memory limit in bytes, such as 3G, also of the photos that a refinement keeps in
@@ -119,7 +119,21 @@ impl<'a> Session<'a> {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
 
-    pub fn names_device(&self) -> bool {
+    /// Returns the device to plan for, or none for an ordinary one.
+    pub fn planned_device(&mut self) -> Result<Option<Device>> {
+        if self.plans_for_none() {
+            return Ok(None);
+        }
+        match self.device() {
+            Err(Error::NoDevice(why)) if !self.names_device() => {
+                self.note(format!("planned for an ordinary device: {why}"));
+                Ok(None)
+            }
+            found => found.map(Some),
+        }
+    }
+
+    fn names_device(&self) -> bool {
         self.global.device.is_some()
     }
 

@@ -770,6 +770,8 @@ ZS_ENUM(zs_token_selection) {
     ZS_TOKEN_SELECTION_STRIDE = 1,
     // Random, from `seed`.
     ZS_TOKEN_SELECTION_RANDOM = 2,
+    // Fewest mutual nearest neighbors in earlier photos first.
+    ZS_TOKEN_SELECTION_MUTUAL = 3,
 };
 
 // Options of zs_reconstruct.

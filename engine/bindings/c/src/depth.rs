@@ -127,7 +127,7 @@ pub unsafe extern "C" fn zs_depth_model_load(
         let (device, path, options) =
             unsafe { (borrow(device, "device")?, text(path, "path")?, read_versioned(options)?) };
         let chosen = KernelChoice::of(&device.gpu, zs_precision::wanted(options.precision)?)?;
-        let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(path, gaussians))?;
+        let checkpoint = DepthCheckpoint::whole(|heads| DepthCheckpoint::parse(path, heads))?;
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |fraction| reporter.fraction("weights", fraction);
         let model = DepthModel::from_checkpoint(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;

@@ -32,6 +32,7 @@ pub enum zs_token_selection {
     ZS_TOKEN_SELECTION_KMEANS = 0,
     ZS_TOKEN_SELECTION_STRIDE = 1,
     ZS_TOKEN_SELECTION_RANDOM = 2,
+    ZS_TOKEN_SELECTION_MUTUAL = 3,
 }
 
 pub(super) type zs_token_selection_value = i32;
@@ -156,7 +157,8 @@ pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
 
 impl zs_reconstruct_options {
     fn engine(&self, cameras: Vec<Camera>, capture: Option<&zs_capture>) -> Result<ReconstructOptions, Failure> {
-        let selections = [TokenSelection::KMEANS, TokenSelection::Stride, TokenSelection::Random(self.seed)];
+        let random = TokenSelection::Random(self.seed);
+        let selections = [TokenSelection::KMEANS, TokenSelection::Stride, random, TokenSelection::MutualNearest];
         let worlds = [None, Some(SceneFrame::FirstCamera), Some(SceneFrame::InputCameras)];
         Ok(ReconstructOptions {
             ratio: match self.ratio {

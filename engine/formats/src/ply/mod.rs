@@ -3,6 +3,7 @@
 
 mod packed;
 mod points;
+mod property;
 mod table;
 
 use std::io::Read;
@@ -27,10 +28,11 @@ pub(super) const FORMAT: Format = Format {
     order: None,
     read: read_unchecked,
     world: Some(read_line),
-    write: |scene, _, world| Ok(encoder(scene, &start(world))),
+    write: |scene, _, world| Ok(encoder(scene, &start(world), None)),
 };
 
 pub use points::{PointCloud, read_points, write_points};
+pub use property::{PlyProperty, read_ply_property, write_ply_with};
 
 const BATCH: usize = 1 << 16;
 /// The logit is infinite at 0 and 1.
@@ -45,7 +47,7 @@ const MIN_SCALE: f32 = 1e-6;
 /// Writes a binary little-endian PLY of f32 properties atomically.
 pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     scene.validate()?;
-    write_atomic(path.as_ref(), encoder(scene, START))
+    write_atomic(path.as_ref(), encoder(scene, START, None))
 }
 
 fn read_line(path: &Path) -> Result<Option<String>> {
@@ -57,8 +59,10 @@ fn read_line(path: &Path) -> Result<Option<String>> {
     Ok(comments.find(|comment| comment.starts_with(MADE_BY)).map(str::to_owned))
 }
 
-fn encoder<'a>(scene: &'a Scene, start: &str) -> Encoder<'a> {
-    let names = property_names(scene.sh_coeffs_per_gaussian());
+fn encoder<'a>(scene: &'a Scene, start: &str, last: Option<&PlyProperty<'a>>) -> Encoder<'a> {
+    let mut names = property_names(scene.sh_coeffs_per_gaussian());
+    names.extend(last.map(|property| property.name.to_owned()));
+    let last = last.map(|property| property.values);
     let tag = if scene.antialiased { format!("{COMMENT}{}\n", ANTIALIASED.join(" ")) } else { String::new() };
     let mut header = format!("{start}{tag}element vertex {}\n", scene.len());
     for name in &names {
@@ -71,7 +75,7 @@ fn encoder<'a>(scene: &'a Scene, start: &str) -> Encoder<'a> {
         let mut rows = vec![0; row * BATCH.min(scene.len())];
         for start in (0..scene.len()).step_by(BATCH) {
             let batch = &mut rows[..row * BATCH.min(scene.len() - start)];
-            batch.par_chunks_exact_mut(row).enumerate().for_each(|(i, row)| encode(scene, start + i, row));
+            batch.par_chunks_exact_mut(row).enumerate().for_each(|(i, row)| encode(scene, last, start + i, row));
             out.write_all(batch)?;
         }
         Ok(())
@@ -95,7 +99,7 @@ fn property_names(coeffs: usize) -> Vec<String> {
         .collect()
 }
 
-fn encode(scene: &Scene, i: usize, row: &mut [u8]) {
+fn encode(scene: &Scene, last: Option<&[f32]>, i: usize, row: &mut [u8]) {
     let k = scene.sh_coeffs_per_gaussian();
     let sh = &scene.sh_coeffs[i * k..][..k];
     let opacity = scene.opacities[i].clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
@@ -104,7 +108,8 @@ fn encode(scene: &Scene, i: usize, row: &mut [u8]) {
         .chain((0..3).flat_map(|channel| sh[1..].iter().map(move |coeff| coeff[channel])))
         .chain([ln(opacity / (1.0 - opacity))])
         .chain(scene.scales[i].map(|scale| ln(scale.max(MIN_SCALE))))
-        .chain(scene.quats[i]);
+        .chain(scene.quats[i])
+        .chain(last.map(|values| values[i]));
     for (bytes, value) in row.chunks_exact_mut(4).zip(values) {
         bytes.copy_from_slice(&value.to_le_bytes());
     }

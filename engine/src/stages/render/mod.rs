@@ -38,6 +38,7 @@ pub use planned::plan_pictures;
 pub use project::{CameraRows, camera_rows};
 pub use range::{MAX_SIDE, check_camera};
 pub use renderer::Renderer;
+pub(crate) use scene::used_degree;
 pub use scene::{DeviceScene, SceneMemory, SceneSource, WeakScene};
 
 #[derive(Clone, Copy, Debug)]

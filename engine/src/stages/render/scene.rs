@@ -175,7 +175,7 @@ impl DeviceScene {
     }
 }
 
-pub(super) fn used_degree(scene: &Scene) -> u32 {
+pub fn used_degree(scene: &Scene) -> u32 {
     let stride = scene.sh_coeffs_per_gaussian();
     let zero = |degree: u32| {
         let band = (degree as usize).pow(2)..(degree as usize + 1).pow(2);

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     options::{ArithmeticOption, Size},
-    released::open_depth,
+    released::open_whole_depth,
     session::{Session, Stage},
     table::{Table, bytes},
 };
@@ -72,7 +72,7 @@ const PARTS: [&str; 2] = ["backbone", "heads"];
 
 impl Depth {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let checkpoint = open_depth(&self.weights, true)?;
+        let checkpoint = open_whole_depth(&self.weights)?;
         let network = &checkpoint.architecture().name;
         let rays = checkpoint.architecture().multi_view() && checkpoint.architecture().camera_head.is_none();
         if self.pytorch.is_some() && !rays {

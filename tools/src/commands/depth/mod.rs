@@ -18,6 +18,7 @@ use safetensors::{Dtype, tensor::TensorView};
 use serde_json::json;
 use std::{
     collections::HashMap,
+    ops::Range,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -30,6 +31,7 @@ use zipsplat::{
         poses::{Capture, CaptureView, write_frames},
         write_atomic, write_points,
     },
+    weights::DepthHeads,
 };
 
 /// Predict depth, points and cameras of photos with Depth Anything 3 or VGGT
@@ -67,6 +69,10 @@ pub struct Depth {
     /// single-view networks is aligned to the cameras' points
     #[arg(long, requires = "cameras")]
     metric: bool,
+    /// Also run VGGT's point head, whose world points and confidence depths.safetensors and
+    /// points.ply then have
+    #[arg(long)]
+    point_head: bool,
     /// Photo whose camera is the world, counted from 0 [default: the network's choice]
     #[arg(long, value_name = "N")]
     reference_view: Option<usize>,
@@ -95,7 +101,7 @@ const POINTS: &str = "points.ply";
 
 impl Depth {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let checkpoint = open_depth(&self.weights, false)?;
+        let checkpoint = open_depth(&self.weights, DepthHeads { points: self.point_head, ..DepthHeads::default() })?;
         let place = self.output.join(CAMERAS);
         let (no_masks, named_in) = (MaskArgs::default(), Some((&*place, self.overwrite)));
         let unposed = self.cameras.is_none().then_some(&no_masks);
@@ -105,14 +111,8 @@ impl Depth {
         self.check(&files)?;
         let truth = self.ground_truth.as_deref().map(Truth::open).transpose()?;
         let request = DepthOptions { reference_view: self.reference_view, ..Default::default() };
-        let options = PredictorOptions {
-            masks: None,
-            checkpoint: &checkpoint,
-            side: self.input_size,
-            cameras: self.source,
-            arithmetic: &self.arithmetic,
-            request,
-        };
+        let of_network = PredictorOptions::of(&checkpoint, &self.arithmetic);
+        let options = PredictorOptions { side: self.input_size, cameras: self.source, request, ..of_network };
         let frames: Vec<&CaptureView> = known.iter().flat_map(|(frames, _)| frames).collect();
         let mut predicted = options.ask(session, &files, &frames)?;
         predicted.scale(self.metric, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
@@ -223,7 +223,8 @@ fn picture(name: &str, what: &str) -> String {
 }
 
 /// Writes `depth` and `confidence` `[views, height, width]`, `rays` `[views, rows, columns, 6]`
-/// (direction, origin), `ray_confidence`, `sky`, and photo names as metadata.
+/// (direction, origin), `ray_confidence`, `sky`, `points` `[views, height, width, 3]`,
+/// `point_confidence`, and photo names as metadata.
 fn save_values(path: &Path, depths: &DepthPrediction, names: &[String]) -> Result<()> {
     let (views, size) = (depths.views.len(), [depths.height as usize, depths.width as usize]);
     let all = |of: &dyn Fn(&DepthMap) -> Option<Vec<f32>>| {
@@ -233,14 +234,18 @@ fn save_values(path: &Path, depths: &DepthPrediction, names: &[String]) -> Resul
         let rays = view.rays.as_ref()?;
         Some(rays.directions.iter().zip(&rays.origins).flat_map(|(d, o)| [*d, *o].concat()).collect())
     };
+    let of_points =
+        |all: &[[f32; 4]], values: Range<usize>| all.iter().flat_map(|v| v[values.clone()].to_vec()).collect();
     let grid = depths.views.first().and_then(|view| view.rays.as_ref());
     let grid = grid.map_or([0; 2], |rays| [rays.height as usize, rays.width as usize]);
     let full = [&[views], &size[..]].concat();
     let tensors = [
         ("depth", full.clone(), all(&|view| Some(view.depth.clone()))),
         ("confidence", full.clone(), all(&|view| view.confidence.clone())),
-        ("sky", full, all(&|view| view.sky.clone())),
+        ("sky", full.clone(), all(&|view| view.sky.clone())),
         ("rays", [&[views], &grid[..], &[6]].concat(), all(&rays)),
+        ("points", [&full[..], &[3]].concat(), all(&|view| view.points.as_ref().map(|all| of_points(all, 0..3)))),
+        ("point_confidence", full.clone(), all(&|view| view.points.as_ref().map(|all| of_points(all, 3..4)))),
         ("ray_confidence", [&[views], &grid[..]].concat(), all(&|view| Some(view.rays.as_ref()?.confidence.clone()))),
     ];
     let stored = |values: Vec<f32>| values.into_iter().flat_map(f32::to_le_bytes).collect::<Vec<u8>>();

@@ -12,14 +12,14 @@ use crate::{
 use std::{path::Path, time::Duration};
 use zipsplat::{
     Error, Result,
-    gpu::{Arena, Device},
+    gpu::{Arena, Device, StageTimes},
     ops::{Arithmetic, Precision},
     perceptual::Perceptual,
     reconstruct::Model,
     refine::{FrozenHead, RefineLength, RefineResult, StopReason},
     stages::render::Renderer,
     types::Scene,
-    weights::Checkpoint,
+    weights::{Checkpoint, DepthHeads},
 };
 
 /// Gain in dB that ends --converge.
@@ -64,6 +64,7 @@ pub struct Network {
     pub all_tokens: usize,
     pub peak_bytes: u64,
     pub took: Duration,
+    pub stages: StageTimes,
 }
 
 impl Reconstruction {
@@ -138,7 +139,10 @@ impl<'a> Evaluator<'a> {
         } else {
             let predictor = match self.scaler.take() {
                 Some(predictor) => predictor,
-                None => self.quality.predictor_options(&open_depth(from, false)?).open(session, &self.device)?,
+                None => self
+                    .quality
+                    .predictor_options(&open_depth(from, DepthHeads::default())?)
+                    .open(session, &self.device)?,
             };
             let (predictor, frames) = (self.scaler.insert(predictor), choice.input_frames());
             let (mut predicted, _) = session.stage("depth", |stage| {
@@ -220,7 +224,8 @@ impl<'a> Evaluator<'a> {
             _ => self.renderer.set_scene(&scene)?,
         }
         let all_tokens = model.shape(&images, &request)?.grid.tokens();
-        let network = Some(Network { tokens: result.tokens, all_tokens, peak_bytes: result.peak_bytes, took });
+        let (tokens, peak_bytes, stages) = (result.tokens, result.peak_bytes, result.times.clone());
+        let network = Some(Network { tokens, all_tokens, peak_bytes, took, stages });
         Ok(Reconstruction { scene, network, refined, started })
     }
 

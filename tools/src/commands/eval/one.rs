@@ -7,7 +7,7 @@ use crate::{
     capture::{Choice, Score, ViewSplit},
     options::{Network, refuse},
     outputs, refinement,
-    session::Session,
+    session::{Session, stage_seconds},
     table::Table,
 };
 use zipsplat::{
@@ -98,6 +98,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         "tokens": network.map(|network| network.tokens), "all_tokens": network.map(|network| network.all_tokens),
         "gaussians": reconstruction.scene.len(), "scene": eval.external.given(), "peak_bytes": network.map(|network| network.peak_bytes),
         "seconds": network.map(|network| network.took.as_secs_f64()),
+        "stage_seconds": network.map(|network| stage_seconds(&network.stages.0)),
         "mean": mean, "aligned": alignment, "views": scores,
     });
     session.report(&json, text)

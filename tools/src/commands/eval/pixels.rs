@@ -65,7 +65,8 @@ impl Evaluator<'_> {
         };
         place(&mut scene, &to_cameras, &first, capture);
         let [tokens, all] = predicted.patches();
-        let network = Some(Network { tokens, all_tokens: all, peak_bytes: predicted.depths.peak_bytes, took });
+        let (peak_bytes, stages) = (predicted.depths.peak_bytes, predicted.depths.times.clone());
+        let network = Some(Network { tokens, all_tokens: all, peak_bytes, took, stages });
         Ok(Reconstruction { network, ..Reconstruction::given(scene) })
     }
 }

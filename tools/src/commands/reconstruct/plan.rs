@@ -198,17 +198,9 @@ fn device_name(limits: &Limits) -> &str {
 
 /// Of an ordinary device if there is none, or if so requested.
 fn target(session: &mut Session<'_>, option: &ArithmeticOption) -> Result<(Limits, Precision, Arithmetic)> {
-    if !session.plans_for_none() {
-        match session.device() {
-            Ok(device) => {
-                let (precision, arithmetic) = option.choose(session, &device)?;
-                return Ok((device.limits().clone(), precision, arithmetic));
-            }
-            Err(Error::NoDevice(why)) if !session.names_device() => {
-                session.note(format!("planned for an ordinary device: {why}"));
-            }
-            Err(error) => return Err(error),
-        }
+    if let Some(device) = session.planned_device()? {
+        let (precision, arithmetic) = option.choose(session, &device)?;
+        return Ok((device.limits().clone(), precision, arithmetic));
     }
     let limits = Limits::default();
     let (precision, arithmetic) = option.planned(&limits);

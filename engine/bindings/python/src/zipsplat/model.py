@@ -134,8 +134,8 @@ class Model(Owner):
                 of the cameras, "auto" for theirs if known.
             scene_scale: Length in the cameras' unit that the network treats as 1; "auto" estimates
                 it from the capture's points or the cameras.
-            token_selection: Selection of kept tokens: "kmeans" as in the paper, "stride" or
-                "random".
+            token_selection: Selection of kept tokens: "kmeans" as in the paper, "mutual" (nearest
+                neighbors across photos), "stride" or "random".
             seed: Seed of "random".
             kv_pool: Pooling for many photos: cross-view attention reads means of kv_pool x kv_pool
                 patches, 1 to 4. Larger values are faster and less exact.

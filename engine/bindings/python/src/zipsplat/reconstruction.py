@@ -17,10 +17,11 @@ from .progress import Callback, ProgressFunction
 from .scene import RefineTarget, Scene
 
 Ratio = Union[float, Literal["auto"]]
-TokenSelection = Literal["kmeans", "stride", "random"]
+TokenSelection = Literal["kmeans", "mutual", "stride", "random"]
 
 _SELECTIONS: dict[TokenSelection, int] = {
     "kmeans": lib.ZS_TOKEN_SELECTION_KMEANS,
+    "mutual": lib.ZS_TOKEN_SELECTION_MUTUAL,
     "stride": lib.ZS_TOKEN_SELECTION_STRIDE,
     "random": lib.ZS_TOKEN_SELECTION_RANDOM,
 }

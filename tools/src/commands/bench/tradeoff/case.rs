@@ -1,8 +1,4 @@
-use super::{
-    Tradeoff,
-    point::{arithmetic, name},
-    rounded::OWN,
-};
+use super::{Tradeoff, point::arithmetic, rounded::OWN};
 use crate::{
     capture::ViewSplit,
     refinement::{Initialization, RefineTask},
@@ -64,7 +60,7 @@ pub fn all<'a>(
             if cases.iter().any(same) {
                 continue;
             }
-            let select = if whole { "all".into() } else { name(selection) };
+            let select = if whole { "all".into() } else { selection.to_string() };
             let ratio = match ratio {
                 Ratio::Auto => "auto".into(),
                 Ratio::Fixed(ratio) => ratio.to_string(),

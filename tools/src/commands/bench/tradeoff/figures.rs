@@ -2,7 +2,7 @@
 //! color, at the first precision, otherwise with all Gaussians and without refinement.
 
 use super::{
-    point::{Point, front, name},
+    point::{Point, front},
     sweep::Sweep,
 };
 use crate::plot::{At, Axis, Scale, Series, plot};
@@ -59,7 +59,7 @@ pub fn figures(sweep: &Sweep) -> Vec<Figure> {
     let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
     let keep = plain.iter().map(|(_, p)| p.max_gaussians_per_token).max().unwrap_or(0);
     let first = plain.first().map_or_else(String::new, |(_, p)| p.arithmetic());
-    let own = name(&TokenSelection::KMEANS);
+    let own = TokenSelection::KMEANS.to_string();
     let kmeans = |p: &Point| p.token_selection == "all" || p.token_selection == own;
     let full = those(&plain, |p| p.max_gaussians_per_token == keep && p.arithmetic() == first);
     let (best, ours) = (those(&full, |p| p.views == most), those(&full, kmeans));
@@ -121,7 +121,7 @@ fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Num
 
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
     let keep = points.iter().map(|p| p.max_gaussians_per_token).max().unwrap_or(0);
-    let own = name(&TokenSelection::KMEANS);
+    let own = TokenSelection::KMEANS.to_string();
     let compared = |p: &Point| {
         p.max_gaussians_per_token == keep
             && (p.token_selection == "all" || p.token_selection == own)

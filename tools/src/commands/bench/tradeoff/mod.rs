@@ -61,7 +61,7 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,0.25,0.5,0.1,0.05",
         value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
-    /// Token selections: kmeans[:ROUNDS], stride, random[:SEED]
+    /// Token selections: kmeans[:ROUNDS], mutual, stride, random[:SEED], files of indices
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
     token_selection: Vec<TokenSelection>,

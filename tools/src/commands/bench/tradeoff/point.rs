@@ -1,7 +1,6 @@
 use super::rounded::OWN;
 use crate::table::counted;
 use serde::Serialize;
-use zipsplat::reconstruct::TokenSelection;
 
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Point {
@@ -123,15 +122,6 @@ pub fn arithmetic(precision: &str, weights: &str) -> String {
     if weights == OWN { precision.into() } else { format!("{precision}, {weights} weights") }
 }
 
-pub fn name(selection: &TokenSelection) -> String {
-    match selection {
-        TokenSelection::Kmeans(rounds) => format!("kmeans:{rounds}"),
-        TokenSelection::Stride => "stride".into(),
-        TokenSelection::Random(seed) => format!("random:{seed}"),
-        TokenSelection::Given(indices) => format!("{} tokens", indices.len()),
-    }
-}
-
 /// Returns the Pareto front, by time.
 pub fn front(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
@@ -182,7 +172,7 @@ pub(super) mod tests {
             weight_bytes: 1 << 20,
             ratio: 0.5,
             asked_ratio: "0.5".into(),
-            token_selection: "kmeans:5".into(),
+            token_selection: "kmeans".into(),
             kv_pool: 1,
             max_gaussians_per_token: 8,
             refine: "0".into(),

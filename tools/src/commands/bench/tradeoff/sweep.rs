@@ -22,11 +22,8 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, StageTimes},
     ops::{Arithmetic, Precision},
-    reconstruct::{Model, Reconstruction, Shape, TokenSampling, TokenSelection},
-    stages::{
-        cluster::{even_indices, random_indices},
-        render::Renderer,
-    },
+    reconstruct::{Model, Reconstruction, Shape, TokenSampling},
+    stages::render::Renderer,
     types::{Image, PointCloud, Scene},
     weights::{Architecture, Checkpoint},
 };
@@ -316,33 +313,30 @@ impl Bench<'_> {
     }
 }
 
+/// Returns the kept tokens and, for k-means, the mean number of views per cluster.
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
-    match (case.shape.kept, &case.request.token_selection) {
-        (TokenSampling::Kmeans(_), _) => clusters(model, case, images).map(|(nearest, views)| (nearest, Some(views))),
-        (_, TokenSelection::Given(indices)) => Ok((indices.clone(), None)),
-        (TokenSampling::Indices, TokenSelection::Random(seed)) => Ok((random_indices(all, count, *seed), None)),
-        (TokenSampling::Indices, _) => Ok((even_indices(all, count), None)),
-        (TokenSampling::All, _) => Ok(((0..all as u32).collect(), None)),
+    match case.shape.kept {
+        TokenSampling::All => return Ok(((0..all as u32).collect(), None)),
+        TokenSampling::Indices => return Ok((case.request.token_selection.indices(all, count), None)),
+        TokenSampling::Kmeans(_) | TokenSampling::MutualNearest => {}
     }
-}
-
-/// Runs separately: observation would distort time and memory.
-fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, f64)> {
+    // Runs separately: observation would distort time and memory.
     let (run, _) = observe(model, images, &case.request)?;
-    let observed = |name: &str| -> Result<Vec<u32>> {
-        let found = run.observed().iter().find(|(other, _)| other == name).map(|(_, tensor)| *tensor);
-        run.read(found.expect("clustering observes it"))
+    let observed = |name: &str| -> Result<Option<Vec<u32>>> {
+        let found = run.observed().iter().find(|(other, _)| other == name);
+        found.map(|(_, tensor)| run.read(*tensor)).transpose()
     };
-    let cluster_of_token = observed("assign")?;
-    let mut seen: Vec<(u32, usize)> = cluster_of_token
-        .iter()
-        .enumerate()
-        .map(|(token, cluster)| (*cluster, token / case.shape.grid.patches()))
-        .collect();
-    seen.sort_unstable();
-    seen.dedup();
-    let pairs = seen.len();
-    seen.dedup_by_key(|(cluster, _)| *cluster);
-    Ok((observed("nearest")?, pairs as f64 / seen.len().max(1) as f64))
+    let views_per_cluster = |cluster_of_token: Vec<u32>| {
+        let view = |token| token / case.shape.grid.patches();
+        let pairs = cluster_of_token.iter().enumerate().map(|(token, cluster)| (*cluster, view(token)));
+        let mut seen: Vec<(u32, usize)> = pairs.collect();
+        seen.sort_unstable();
+        seen.dedup();
+        let pairs = seen.len();
+        seen.dedup_by_key(|(cluster, _)| *cluster);
+        pairs as f64 / seen.len().max(1) as f64
+    };
+    let nearest = observed("nearest")?.expect("the selection observes it");
+    Ok((nearest, observed("assign")?.map(views_per_cluster)))
 }
