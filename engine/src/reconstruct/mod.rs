@@ -1,11 +1,13 @@
 //! Reconstruction of scenes from photos.
 
+mod blocks;
 mod features;
 mod network;
 mod options;
 mod patches;
 mod prepare;
 
+pub use blocks::{Block, BlockLayout, BlockOptions, Seam};
 pub use features::{BackboneFeatures, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
 pub use options::{
@@ -48,6 +50,8 @@ pub struct Reconstruction {
     pub outline: Profile,
     /// Skipped stages.
     pub skipped_passes: Vec<SkippedPass>,
+    /// Seams between blocks of views: none after one pass.
+    pub seams: Vec<Seam>,
     /// Arena, weight and Gaussian bytes.
     pub peak_bytes: u64,
 }
@@ -182,8 +186,8 @@ impl Model {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, a multiple of the patch size, and their
-    /// cameras.
+    /// Reconstructs a scene in one pass from images of one size, a multiple of the patch size, and
+    /// their cameras.
     pub fn reconstruct_views(
         &self,
         images: &[Image],
@@ -235,6 +239,7 @@ impl Model {
             times,
             outline: Profile::outline(run.plan()),
             skipped_passes: shape.skipped_passes(),
+            seams: Vec::new(),
             peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
             gaussians,
             placement: None,

@@ -1,4 +1,4 @@
-use super::{Shape, TokenSampling};
+use super::{BlockLayout, BlockOptions, MAX_VIEWS, Shape, TokenSampling};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
@@ -110,6 +110,40 @@ impl Network {
         let mut rec = Recorder::new(limits);
         let tensors = self.record_into(&mut rec, shape, into);
         Ok(NetworkPlan { plan: rec.finish()?, tensors, layout })
+    }
+
+    /// Lays out the blocks of `views` views in passes of this `shape`. By default a block is as large
+    /// as [`MAX_VIEWS`] and the device's memory allow.
+    ///
+    /// # Errors
+    /// Those of `shape`; [`Error::Argument`] for invalid `blocks`.
+    pub fn block_layout(
+        &self,
+        limits: &Limits,
+        views: usize,
+        blocks: BlockOptions,
+        shape: impl Fn(usize) -> Result<Shape>,
+    ) -> Result<BlockLayout> {
+        let fits = |views: usize| {
+            let plan = shape(views).and_then(|shape| self.plan(limits, shape));
+            plan.is_ok_and(|plan| plan.bytes() + self.weight_bytes() <= limits.memory_bytes)
+        };
+        let most = views.min(MAX_VIEWS);
+        let size = match blocks.size {
+            Some(size) => size,
+            None if most <= BlockLayout::SMALLEST || fits(most) => most,
+            None => {
+                let (mut size, mut too_large) = (BlockLayout::SMALLEST, most);
+                while too_large - size > 1 {
+                    let middle = (size + too_large) / 2;
+                    *(if fits(middle) { &mut size } else { &mut too_large }) = middle;
+                }
+                size
+            }
+        };
+        let layout = BlockLayout::new(views, size, blocks.overlap)?;
+        layout.check_joins(shape(layout.size)?.cameras)?;
+        Ok(layout)
     }
 
     /// Number of Gaussians.

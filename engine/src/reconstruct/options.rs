@@ -1,5 +1,6 @@
 use std::fmt;
 
+use super::BlockOptions;
 use crate::{
     Error, Result,
     ops::Pool,
@@ -10,7 +11,7 @@ use crate::{
     types::{Camera, Image, SkippedPass, poses::Capture},
 };
 
-/// Maximum views per reconstruction.
+/// Maximum views of a pass.
 pub const MAX_VIEWS: usize = 192;
 
 /// Maximum patches, for 32-bit indices.
@@ -80,6 +81,8 @@ pub struct ReconstructOptions {
     pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,
+    /// Passes over blocks of views, if one pass does not hold all.
+    pub blocks: BlockOptions,
 }
 
 impl Default for ReconstructOptions {
@@ -93,6 +96,7 @@ impl Default for ReconstructOptions {
             world: None,
             input_size: None,
             kv_pool: 1,
+            blocks: BlockOptions::default(),
         }
     }
 }

@@ -187,9 +187,10 @@ impl<'a> Evaluator<'a> {
         let model = self.model.as_ref().expect("it was loaded");
         let images = capture.images();
         let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
-        let request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
+        let mut request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
+        let blocks = eval.blocks.choose(model, images.len(), self.seeing.size, &mut request, |_, _| Ok(1.0))?;
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
-        let ((result, tokens), took) = session.reconstruct(model, &images, &request, of_tokens)?;
+        let ((result, tokens), took) = session.reconstruct(model, (&images, &blocks), &request, of_tokens)?;
         let mut scene = result.to_scene()?;
         quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
@@ -219,7 +220,7 @@ impl<'a> Evaluator<'a> {
             }
             _ => self.renderer.set_scene(&scene)?,
         }
-        let all_tokens = model.shape(&images, &request)?.grid.tokens();
+        let all_tokens = quality.shape(model.architecture(), 1, self.seeing.size, false)?.grid.tokens() * images.len();
         let network = Some(Network { tokens: result.tokens, all_tokens, peak_bytes: result.peak_bytes, took });
         Ok(Reconstruction { scene, network, refined, started })
     }

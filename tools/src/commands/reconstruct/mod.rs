@@ -10,6 +10,7 @@ mod world;
 use super::render::Render;
 use crate::{
     antialiasing::Antialiasing,
+    blocks::BlockArgs,
     cameras::{Finding, KnownCameras, Place},
     options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
@@ -71,7 +72,7 @@ const REFINEMENT: &str = "Refinement";
   zipsplat reconstruct captures/ --each --ratio auto --format spz -o scenes/
   zipsplat reconstruct --dry-run --weights seeded:vitg --views 24 --ratio auto
 
-At most {MAX_VIEWS} photos, or any number to refine from the capture's points."))]
+Photos beyond {MAX_VIEWS} are reconstructed in overlapping blocks."))]
 pub struct Reconstruct {
     #[command(flatten)]
     input: PhotoArgs,
@@ -84,6 +85,8 @@ pub struct Reconstruct {
     weights: Weights,
     #[command(flatten, next_help_heading = NETWORK)]
     quality: Quality,
+    #[command(flatten, next_help_heading = NETWORK)]
+    blocks: BlockArgs,
     #[command(flatten, next_help_heading = NETWORK)]
     crop: CropOption,
     /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
