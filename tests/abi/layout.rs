@@ -42,7 +42,8 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_reconstruct_options {
             struct_size, world, ratio, scene_scale, token_selection, kv_pool, input_size, seed, camera_count, cameras,
-            progress, user_data, capture, keep_features, reserved
+            progress, user_data, capture, keep_features, block_size, block_overlap,
+            reserved
         }
         zs_reconstruction_info { struct_size, has_tokens, view_count, token_count, gaussian_count, warnings, channel_count }
         zs_camera_estimate { struct_size, inliers, patches, reserved, camera }

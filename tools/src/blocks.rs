@@ -5,7 +5,7 @@ use clap::Args;
 use serde_json::{Value, json};
 use zipsplat::{
     Error, Result,
-    reconstruct::{Block, BlockLayout, BlockOptions, Model, ReconstructOptions, Seam},
+    reconstruct::{Block, BlockLayout, BlockOptions, MAX_VIEWS, Model, ReconstructOptions, Seam, Shape},
     types::{Camera, Pose},
 };
 
@@ -28,6 +28,11 @@ pub struct BlockArgs {
 impl BlockArgs {
     pub fn options(self) -> BlockOptions {
         BlockOptions { size: self.block_size, overlap: self.block_overlap }
+    }
+
+    /// Checks the blocks of `views` views as far as they do not depend on the device.
+    pub fn check(self, views: usize, shape: impl Fn(usize) -> Result<Shape>) -> Result<()> {
+        BlockLayout::checked(views, self.block_size.unwrap_or(MAX_VIEWS), self.block_overlap, shape).map(drop)
     }
 
     /// Chooses the blocks of views, each with the scene scale by `scale` of its cameras and of the

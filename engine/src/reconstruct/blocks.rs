@@ -1,6 +1,6 @@
 //! Reconstruction in passes over overlapping blocks of views, joined in one world.
 
-use super::{MAX_VIEWS, Model, Patches, ReconstructOptions, Reconstruction, Shape, TokenSelection};
+use super::{MAX_PHOTOS, MAX_VIEWS, Model, Patches, ReconstructOptions, Reconstruction, Shape, TokenSelection};
 use crate::{
     Error, Result,
     gpu::{Limits, Profile, Progress, ResidentLayout, StageTimes},
@@ -21,8 +21,7 @@ const MIN_SHARED: usize = 16;
 pub struct BlockOptions {
     /// Maximum views of a block, by default as many as fit.
     pub size: Option<usize>,
-    /// Views that neighboring blocks share, by default a quarter of the size. Blocks chosen by
-    /// position share about as many.
+    /// Views that neighboring blocks share, about, by default a quarter of the size.
     pub overlap: Option<usize>,
 }
 
@@ -35,19 +34,19 @@ pub struct BlockLayout {
     pub count: usize,
     /// Views of each block.
     pub size: usize,
-    /// Views that neighboring blocks share; 0 for one block.
+    /// Views that neighboring blocks share, about; 0 for one block.
     pub overlap: usize,
 }
 
 /// Views of one pass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
-    /// Indices of the views. The first is the origin of the pass.
+    /// Indices of the views, in order. The first is the origin of the pass.
     pub views: Vec<usize>,
+    /// Whether the scene has the block's Gaussians of each view: true in one block.
+    pub own: Vec<bool>,
     /// See [`ReconstructOptions::scene_scale`].
     pub scene_scale: f64,
-    /// Whether the block's Gaussians of each view belong to the scene.
-    owned: Vec<bool>,
 }
 
 /// A seam between a block and those before it.
@@ -84,11 +83,27 @@ impl BlockLayout {
         Ok(Self { views, count: (views - overlap).div_ceil(size - overlap), size, overlap })
     }
 
-    /// Checks that blocks without known cameras share views.
-    pub(super) fn check_joins(&self, cameras: bool) -> Result<()> {
-        let shares = cameras || self.count == 1 || self.overlap > 0;
+    /// As [`BlockLayout::new`] for passes of this `shape`.
+    ///
+    /// # Errors
+    /// Those of `shape`; [`Error::Argument`] for too many patches, or blocks without known cameras
+    /// that share no views.
+    pub fn checked(
+        views: usize,
+        size: usize,
+        overlap: Option<usize>,
+        shape: impl Fn(usize) -> Result<Shape>,
+    ) -> Result<Self> {
+        let layout = Self::new(views, size, overlap)?;
+        let shape = shape(layout.size)?;
+        // Patches have 32-bit indices.
+        let most = MAX_PHOTOS.min(u32::MAX as usize / shape.grid.patches());
+        if views > most {
+            return Err(Error::argument("views", views, format!("1 to {most}")));
+        }
+        let shares = shape.cameras || layout.count == 1 || layout.overlap > 0;
         let expected = "1 or more, or known cameras: shared views join the blocks";
-        if shares { Ok(()) } else { Err(Error::argument("block overlap", 0, expected)) }
+        if shares { Ok(layout) } else { Err(Error::argument("block overlap", 0, expected)) }
     }
 
     /// Lays out the joined scene at its largest, from the shape and the scene of one block. Also
@@ -103,8 +118,8 @@ impl BlockLayout {
         (scene, layout.bytes())
     }
 
-    /// Chooses the views of each block: by the positions of their cameras, or by order. With
-    /// cameras, `scale` determines the scene scale of several blocks from each one's cameras, in the
+    /// Chooses the views of each block: a part by the positions of cameras, or by order, and the
+    /// nearest others. With cameras, `scale` determines the scene scale of several blocks from each one's cameras, in the
     /// frame of its first, and the pose of that one.
     ///
     /// # Errors
@@ -119,46 +134,37 @@ impl BlockLayout {
             Some(cameras) => cameras.iter().map(|camera| camera.pose.translation).collect(),
             None => (0..self.views).map(|i| DVec3::X * i as f64).collect(),
         };
-        let views = match cameras {
-            _ if self.count == 1 => vec![(0..self.views).collect()],
-            Some(_) => self.by_position(&places),
-            None => {
-                let start = |block: usize| block * (self.views - self.size) / (self.count - 1);
-                (0..self.count).map(|block| (start(block)..start(block) + self.size).collect()).collect()
-            }
-        };
-        let owners = owners(&places, &views);
-        let block = |(i, views): (usize, Vec<usize>)| {
-            let owned = views.iter().map(|view| owners[*view] == i).collect();
-            let mut block = Block { views, scene_scale, owned };
+        let mut parts = Vec::new();
+        halve((0..self.views).collect(), self.count, &places, &mut parts);
+        let block = |part: Vec<usize>| {
+            let views = self.extended(&part, &places);
+            let own = views.iter().map(|view| part.contains(view)).collect();
+            let mut block = Block { views, own, scene_scale };
             if let Some(cameras) = cameras.filter(|_| self.count > 1) {
                 let (cameras, origin) = block.cameras(cameras);
                 block.scene_scale = scale(&cameras, &origin)?;
             }
             Ok(block)
         };
-        views.into_iter().enumerate().map(block).collect()
+        parts.into_iter().map(block).collect()
     }
 
-    /// Halves the views across their longest extent until there are enough parts, then adds the
-    /// nearest other views to each.
-    fn by_position(&self, places: &[DVec3]) -> Vec<Vec<usize>> {
-        let mut parts = Vec::new();
-        halve((0..self.views).collect(), self.count, places, &mut parts);
-        for part in &mut parts {
-            let distance = |view: usize| {
-                let distances = part.iter().map(|other| places[view].distance_squared(places[*other]));
-                distances.fold(f64::INFINITY, f64::min)
-            };
-            let mut others: Vec<(f64, usize)> = (0..self.views).map(|view| (distance(view), view)).collect();
-            others.retain(|(_, view)| !part.contains(view));
-            others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            part.extend(others.iter().take(self.size - part.len()).map(|(_, view)| *view));
-        }
-        parts
+    /// Returns a part with the views nearest to it, in order.
+    fn extended(&self, part: &[usize], places: &[DVec3]) -> Vec<usize> {
+        let distance = |view: usize| {
+            let distances = part.iter().map(|own| places[view].distance_squared(places[*own]));
+            (distances.fold(f64::INFINITY, f64::min), view)
+        };
+        let mut others: Vec<(f64, usize)> = (0..self.views).filter(|view| !part.contains(view)).map(distance).collect();
+        others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let others = others.iter().take(self.size - part.len()).map(|(_, view)| view);
+        let mut views: Vec<usize> = part.iter().chain(others).copied().collect();
+        views.sort_unstable();
+        views
     }
 }
 
+/// Halves the views across their longest extent until there are `count` parts.
 fn halve(mut views: Vec<usize>, count: usize, places: &[DVec3], parts: &mut Vec<Vec<usize>>) {
     if count == 1 {
         return parts.push(views);
@@ -171,22 +177,6 @@ fn halve(mut views: Vec<usize>, count: usize, places: &[DVec3], parts: &mut Vec<
     [&mut views, &mut second].into_iter().for_each(|half| half.sort_unstable());
     halve(views, count / 2, places, parts);
     halve(second, count - count / 2, places, parts);
-}
-
-/// Returns the block of each view: of those that contain it, the one whose center is nearest.
-fn owners(places: &[DVec3], blocks: &[Vec<usize>]) -> Vec<usize> {
-    let center = |views: &Vec<usize>| views.iter().map(|view| places[*view]).sum::<DVec3>() / views.len() as f64;
-    let mut nearest = vec![(f64::INFINITY, 0); places.len()];
-    for (i, views) in blocks.iter().enumerate() {
-        let center = center(views);
-        for view in views {
-            let distance = places[*view].distance_squared(center);
-            if distance < nearest[*view].0 {
-                nearest[*view] = (distance, i);
-            }
-        }
-    }
-    nearest.into_iter().map(|(_, block)| block).collect()
 }
 
 impl Block {
@@ -211,7 +201,7 @@ impl Model {
     }
 
     /// As [`Model::reconstruct_views`], in a pass per block. Known cameras place the blocks, or the
-    /// patches that they share. A view's Gaussians are those of the block whose center is nearest.
+    /// patches that they share. A view's Gaussians are those of the block that has it as its own.
     ///
     /// # Errors
     /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that
@@ -281,7 +271,7 @@ impl Joined {
         known.iter().for_each(|(patch, mean)| _ = self.means.entry(*patch).or_insert(onto.point(*mean)));
 
         scene.place(onto.scale, &onto.pose);
-        let (each, owned) = (scene.len() / tokens.len().max(1), |token: &usize| block.owned[tokens[*token].0]);
+        let (each, owned) = (scene.len() / tokens.len().max(1), |token: &usize| block.own[tokens[*token].0]);
         let owned: Vec<usize> = (0..tokens.len()).filter(owned).collect();
         scene.keep(&owned.iter().flat_map(|token| token * each..(token + 1) * each).collect::<Vec<_>>());
         self.kept.extend(owned.iter().map(|token| patch(tokens[*token])));

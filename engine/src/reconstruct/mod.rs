@@ -11,7 +11,7 @@ pub use blocks::{Block, BlockLayout, BlockOptions, Seam};
 pub use features::{BackboneFeatures, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
 pub use options::{
-    MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape, TokenSampling, TokenSelection,
+    MAX_PATCHES, MAX_PHOTOS, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape, TokenSampling, TokenSelection,
 };
 pub(crate) use options::{check_cameras, grid, size_of};
 pub use patches::Patches;

@@ -124,10 +124,13 @@ impl Network {
         blocks: BlockOptions,
         shape: impl Fn(usize) -> Result<Shape>,
     ) -> Result<BlockLayout> {
-        let fits = |views: usize| {
-            let plan = shape(views).and_then(|shape| self.plan(limits, shape));
-            plan.is_ok_and(|plan| plan.bytes() + self.weight_bytes() <= limits.memory_bytes)
+        let bytes = |size: usize| -> Result<u64> {
+            let layout = BlockLayout::new(views, size, blocks.overlap)?;
+            let (shape, plan) = (shape(size)?, self.plan(limits, shape(size)?)?);
+            let (_, joined) = layout.scene(limits, shape, *plan.tensors.scene());
+            Ok(self.weight_bytes() + plan.bytes() + joined)
         };
+        let fits = |size: usize| bytes(size).is_ok_and(|bytes| bytes <= limits.memory_bytes);
         let most = views.min(MAX_VIEWS);
         let size = match blocks.size {
             Some(size) => size,
@@ -141,9 +144,7 @@ impl Network {
                 size
             }
         };
-        let layout = BlockLayout::new(views, size, blocks.overlap)?;
-        layout.check_joins(shape(layout.size)?.cameras)?;
-        Ok(layout)
+        BlockLayout::checked(views, size, blocks.overlap, shape)
     }
 
     /// Number of Gaussians.

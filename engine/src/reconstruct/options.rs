@@ -14,7 +14,10 @@ use crate::{
 /// Maximum views of a pass.
 pub const MAX_VIEWS: usize = 192;
 
-/// Maximum patches, for 32-bit indices.
+/// Maximum views of all passes.
+pub const MAX_PHOTOS: usize = 1 << 16;
+
+/// Maximum patches of a pass, for 32-bit indices.
 pub const MAX_PATCHES: usize = 1 << 20;
 
 const MAX_ROUNDS: usize = 100;

@@ -1,3 +1,4 @@
+mod exposure;
 mod initialization;
 mod options;
 mod report;

@@ -18,6 +18,7 @@ use std::{
 use zipsplat::{
     Camera, DepthMap, DepthModel, DepthOptions, DepthPrediction, Error, Image, Precision, Progress,
     cameras::share_focal_lengths,
+    reconstruct::MAX_VIEWS,
     tune::KernelChoice,
     types::{
         bounded_views,
@@ -217,7 +218,7 @@ pub unsafe extern "C" fn zs_depth_predict(
     let find = || {
         // SAFETY: the caller's arguments.
         let (zs_depth_model { model, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
-        check_view_count(image_count)?;
+        check_view_count(image_count, MAX_VIEWS)?;
         let by_rays = options.by_rays()?;
         // SAFETY: the caller's arrays.
         let (images, known) = unsafe {

@@ -18,11 +18,11 @@ use std::{
 };
 use zipsplat::{
     Camera, Progress, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection,
-    reconstruct::{BackboneFeatures, MAX_VIEWS},
+    reconstruct::{BackboneFeatures, BlockOptions, MAX_PHOTOS, MAX_VIEWS},
     types::preprocess::fit,
 };
 
-/// Maximum number of photos.
+/// Maximum number of photos of one pass.
 pub const ZS_MAX_VIEWS: usize = 192;
 
 const _: () = assert!(ZS_MAX_VIEWS == MAX_VIEWS);
@@ -83,13 +83,19 @@ pub struct zs_reconstruct_options {
     /// Whether to keep the backbone's features on the device, for zs_reconstruct_again and
     /// zs_reconstruction_get_patch_tokens: 0 or 1.
     pub keep_features: u32,
+    /// Most photos of a pass, 1 to ZS_MAX_VIEWS; 0 is as many as the device's memory holds. More are
+    /// split into overlapping blocks, by the cameras' positions or by order, and joined in one
+    /// world. Neither features nor tokens are kept of several blocks.
+    pub block_size: u32,
+    /// Photos that neighboring blocks share; 0 is a quarter of the block.
+    pub block_overlap: u32,
     /// 0.
     pub reserved: u32,
 }
 
 versioned!(zs_reconstruct_options);
 
-/// Reconstructs a scene from 1 to ZS_MAX_VIEWS photos of one place.
+/// Reconstructs a scene from 1 to 65,536 photos of one place.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct(
     model: *const zs_model,
@@ -102,7 +108,7 @@ pub unsafe extern "C" fn zs_reconstruct(
         // SAFETY: the caller's arguments.
         let (zs_model, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         let (zs_model { model, head, .. }, keeps) = (zs_model, options.keeps_features()?);
-        check_view_count(image_count)?;
+        check_view_count(image_count, MAX_PHOTOS)?;
         // SAFETY: the caller's arguments.
         let (images, cameras, capture) = unsafe {
             let images = read_array(images, image_count, "images")?;
@@ -119,12 +125,16 @@ pub unsafe extern "C" fn zs_reconstruct(
             move |now: Progress<'_>| reporter.fraction(now.scope, part.start + (part.end - part.start) * now.fraction)
         };
         let prepared = model.prepare(image_count, &wanted, view, within(0.0..0.1))?;
-        let (images, options) = (&prepared.images, &prepared.options);
+        let (images, options, blocks) = (&prepared.images, &prepared.options, &prepared.blocks);
         let placement = Some(prepared.placement);
         let warning = prepared.warning.unwrap_or_default();
         let arena = model.arena().clone();
-        if head.is_none() && !keeps {
-            let made = model.reconstruct_views(images, options, within(0.1..1.0))?;
+        if keeps && blocks.len() > 1 {
+            let found = format!("1, with {} blocks of photos", blocks.len());
+            return Err(Failure::argument("keep_features", found, "0, or photos of one block"));
+        }
+        if head.is_none() && !keeps || blocks.len() > 1 {
+            let made = model.reconstruct_blocks(images, options, blocks, within(0.1..1.0))?;
             return Ok(zs_reconstruction::new(Reconstruction { placement, ..made }, None, arena, warning));
         }
         let features = model.features(images, options, within(0.1..0.8))?;
@@ -179,9 +189,9 @@ impl zs_model {
     }
 }
 
-pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
-    let expected = || format!("1 to {MAX_VIEWS}");
-    let is_allowed = (1..=MAX_VIEWS).contains(&count);
+pub(super) fn check_view_count(count: usize, most: usize) -> Result<(), Failure> {
+    let expected = || format!("1 to {most}");
+    let is_allowed = (1..=most).contains(&count);
     if is_allowed { Ok(()) } else { Err(Failure::argument("number of images", count, expected())) }
 }
 
@@ -218,6 +228,10 @@ impl zs_reconstruct_options {
             },
             input_size: (self.input_size != [0; 2]).then_some(self.input_size),
             kv_pool: self.kv_pool.max(1) as usize,
+            blocks: BlockOptions {
+                size: (self.block_size > 0).then_some(self.block_size as usize),
+                overlap: (self.block_overlap > 0).then_some(self.block_overlap as usize),
+            },
         })
     }
 }

@@ -26,7 +26,7 @@ use crate::{
 use clap::{Arg, Args, ValueEnum};
 use images::ImageSets;
 use std::{path::PathBuf, str::FromStr};
-use zipsplat::{Result, reconstruct::MAX_VIEWS, refine::RefineLength, weights::Checkpoint};
+use zipsplat::{Result, refine::RefineLength, weights::Checkpoint};
 
 /// Default number of input photos.
 const VIEWS: u32 = 8;
@@ -263,8 +263,8 @@ impl Eval {
 
     fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
         let views = seeing.crop.count(&choice.inputs(), &choice.input_frames())?;
-        let pass = views.min(self.blocks.block_size.unwrap_or(MAX_VIEWS));
-        self.quality.shape(checkpoint.architecture(), pass, seeing.size, !self.pose_free).map(drop)
+        let shape = |views| self.quality.shape(checkpoint.architecture(), views, seeing.size, !self.pose_free);
+        self.blocks.check(views, shape)
     }
 
     fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<KnownCameras>> {

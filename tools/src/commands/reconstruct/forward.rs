@@ -14,7 +14,7 @@ use zipsplat::{
     Result,
     gpu::{Arena, Device},
     ops::Precision,
-    reconstruct::{MAX_VIEWS, Model, Reconstruction, SceneTokens},
+    reconstruct::{Model, Reconstruction, SceneTokens},
     stages::render::DeviceScene,
     types::{Pose, Scene, poses::SceneScale},
     weights::Checkpoint,
@@ -60,8 +60,8 @@ impl Forward {
         let (quality, crop) = (&command.quality, command.crop.crop);
         let size = quality.size_for(checkpoint);
         crop.check(size, poses.is_some())?;
-        let pass = crop.count(photos, frames)?.min(command.blocks.block_size.unwrap_or(MAX_VIEWS));
-        quality.shape(checkpoint.architecture(), pass, size, poses.is_some())?;
+        let shape = |views| quality.shape(checkpoint.architecture(), views, size, poses.is_some());
+        command.blocks.check(crop.count(photos, frames)?, shape)?;
         session.notes(quality.doubt_size(checkpoint));
         if command.weights.is_builtin() && poses.is_none() && command.cameras_out.is_some() {
             session.note(

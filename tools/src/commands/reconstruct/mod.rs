@@ -316,7 +316,8 @@ impl Reconstruct {
         if let Some(RefinedScene { refined, started, cameras, request, .. }) = &refined {
             text += &format!("{}\n", refinement::summary(refined, started, cameras));
             if self.explain {
-                text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
+                text +=
+                    &format!("\n{}", refinement::explain(refined, (request, &self.refine.settings), started, &photos));
             }
             json["refined"] = refinement::as_json(refined, started, cameras);
         }
