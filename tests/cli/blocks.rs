@@ -28,7 +28,7 @@ fn blocks_are_joined_and_refined() {
             assert_eq!(block["seam_error"].is_f64(), i > 0, "{block}");
         }
         let text = folder.run(&format!("reconstruct {cameras} {MICRO} {blocks} --explain")).success();
-        assert!(text.contains("3 blocks of 5 views; seams have ") && text.contains("or more shared patches"), "{text}");
+        assert!(text.contains("3 blocks of 5 views; neighbors share ") && text.contains(" % or less"), "{text}");
     }
     let refine = format!("reconstruct {known} {MICRO} {blocks} --refine=4");
     let json = folder.run(&format!("{refine} --init scene --json")).json();

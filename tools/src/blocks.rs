@@ -71,9 +71,9 @@ pub fn plan_as_json(layout: &BlockLayout) -> Value {
 pub fn summary(blocks: &[Block], seams: &[Seam]) -> Option<String> {
     let fewest = seams.iter().map(|seam| seam.shared_patches).min()?;
     let size = counted(blocks[0].views.len(), "view");
-    let error =
-        worst(seams).map_or(String::new(), |(_, error)| format!(" and differ by at most {:.1} %", 100.0 * error));
-    Some(format!("{} blocks of {size}; seams have {} or more{error}", blocks.len(), counted(fewest, "shared patch")))
+    let error = worst(seams).map(|(_, error)| format!(" and differ there by {:.1} % or less", 100.0 * error));
+    let error = error.unwrap_or_default();
+    Some(format!("{} blocks of {size}; neighbors share {fewest} patches or more{error}", blocks.len()))
 }
 
 /// A warning about a seam whose sides differ.

@@ -129,7 +129,7 @@ impl Refine {
             ));
             return Err(Error::Cancelled);
         }
-        refinement::remove_checkpoint(&request);
+        refinement::remove_checkpoint(&request, &refined);
         self.report(session, device.limits().name.clone(), &photos, &started.cameras, refined, &request)
     }
 

@@ -152,8 +152,12 @@ pub(super) fn doubt(refined: &RefineResult) -> Option<String> {
              --holdout-views 1 measures it",
             counted(training, "photo")
         )),
-        Some(StopReason::Diverged(why) | StopReason::Io(why)) => {
-            Some(format!("the refinement ended early: {why}; the scene after step {} is kept", refined.best_step))
+        Some(reason @ (StopReason::Diverged(why) | StopReason::Io(why))) => {
+            let remedy = if matches!(reason, StopReason::Io(_)) { "; the same command continues" } else { "" };
+            Some(format!(
+                "the refinement ended early: {why}; the scene after step {} is kept{remedy}",
+                refined.best_step
+            ))
         }
         _ => None,
     }

@@ -236,7 +236,7 @@ impl Reconstruct {
             return Err(Error::Cancelled);
         }
         let (notes, write) = session.stage("write", |_| save())?;
-        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request));
+        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request, &made.refined));
         session.notes(notes);
         let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
         if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
