@@ -19,8 +19,8 @@ pub struct BlockArgs {
     /// memory holds, at most 192]
     #[arg(long, value_name = "N")]
     pub block_size: Option<usize>,
-    /// Views that neighboring blocks share; without cameras they join the blocks [default: a quarter
-    /// of the block]
+    /// Views that neighboring blocks share; without cameras they join the blocks [default: a
+    /// quarter of the block]
     #[arg(long, value_name = "N")]
     pub block_overlap: Option<usize>,
 }

@@ -234,15 +234,9 @@ impl Quality {
     }
 
     /// Returns the shape of a pass over `views` views.
-    pub fn shape(
-        &self,
-        architecture: &Architecture,
-        views: usize,
-        Size(width, height): Size,
-        cameras: bool,
-    ) -> Result<Shape> {
+    pub fn shape(&self, architecture: &Architecture, views: usize, size: Size, cameras: bool) -> Result<Shape> {
         let chosen = (self.ratio, &self.token_selection);
-        Shape::new(architecture, views, [width, height], chosen, cameras)?.pooled(self.kv_pool)
+        Shape::new(architecture, views, [size.0, size.1], chosen, cameras)?.pooled(self.kv_pool)
     }
 
     /// Without `cameras` the network estimates them.

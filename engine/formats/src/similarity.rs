@@ -71,8 +71,8 @@ impl Similarity {
         (scale.is_normal() && scale > 0.0).then_some(Self { scale, pose })
     }
 
-    /// As [`Similarity::of_points`], robust against outliers: reweights pairs by the Cauchy function
-    /// of their distances over the median distance.
+    /// As [`Similarity::of_points`], robust against outliers: reweights pairs by the Cauchy
+    /// function of their distances over the median distance.
     pub fn of_shared_points(pairs: &[[DVec3; 2]]) -> Option<Self> {
         let mut found = Self::of_points(pairs, &vec![1.0; pairs.len()])?;
         for _ in 0..ROUNDS {

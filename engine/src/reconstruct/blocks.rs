@@ -21,7 +21,8 @@ const MIN_SHARED: usize = 16;
 pub struct BlockOptions {
     /// Maximum views of a block, by default as many as fit.
     pub size: Option<usize>,
-    /// Views that neighboring blocks share, about, by default a quarter of the size.
+    /// Views that neighboring blocks share, by default a quarter of the size. Blocks chosen by
+    /// position share about this number.
     pub overlap: Option<usize>,
 }
 
@@ -34,7 +35,7 @@ pub struct BlockLayout {
     pub count: usize,
     /// Views of each block.
     pub size: usize,
-    /// Views that neighboring blocks share, about; 0 for one block.
+    /// Views that neighboring blocks share; 0 for one block.
     pub overlap: usize,
 }
 
@@ -118,9 +119,9 @@ impl BlockLayout {
         (scene, layout.bytes())
     }
 
-    /// Chooses the views of each block: a part by the positions of cameras, or by order, and the
-    /// nearest others. With cameras, `scale` determines the scene scale of several blocks from each one's cameras, in the
-    /// frame of its first, and the pose of that one.
+    /// Chooses the views of each block: by the positions of cameras a part with the nearest others,
+    /// or by order. With cameras, `scale` determines the scene scale of each of several blocks:
+    /// from the block's cameras, in the frame of its first, and that one's pose.
     ///
     /// # Errors
     /// Those of `scale`.
@@ -130,23 +131,40 @@ impl BlockLayout {
         scene_scale: f64,
         scale: impl Fn(&[Camera], &Pose) -> Result<f64>,
     ) -> Result<Vec<Block>> {
-        let places: Vec<DVec3> = match cameras {
-            Some(cameras) => cameras.iter().map(|camera| camera.pose.translation).collect(),
-            None => (0..self.views).map(|i| DVec3::X * i as f64).collect(),
+        let several = cameras.filter(|_| self.count > 1);
+        let chosen = match several {
+            Some(cameras) => self.by_position(cameras),
+            None => (0..self.count).map(|block| self.by_order(block)).collect(),
         };
-        let mut parts = Vec::new();
-        halve((0..self.views).collect(), self.count, &places, &mut parts);
-        let block = |part: Vec<usize>| {
-            let views = self.extended(&part, &places);
+        let block = |(part, views): (Vec<usize>, Vec<usize>)| {
             let own = views.iter().map(|view| part.contains(view)).collect();
             let mut block = Block { views, own, scene_scale };
-            if let Some(cameras) = cameras.filter(|_| self.count > 1) {
+            if let Some(cameras) = several {
                 let (cameras, origin) = block.cameras(cameras);
                 block.scene_scale = scale(&cameras, &origin)?;
             }
             Ok(block)
         };
-        parts.into_iter().map(block).collect()
+        chosen.into_iter().map(block).collect()
+    }
+
+    /// Returns a block's own views and all its views. Neighbors halve the views that they share.
+    fn by_order(&self, block: usize) -> (Vec<usize>, Vec<usize>) {
+        let start = |block: usize| block * (self.views - self.size) / (self.count - 1).max(1);
+        let border = |block: usize| match block {
+            0 => 0,
+            block if block == self.count => self.views,
+            block => (start(block - 1) + self.size + start(block)) / 2,
+        };
+        ((border(block)..border(block + 1)).collect(), (start(block)..start(block) + self.size).collect())
+    }
+
+    /// Returns each block's own views and all its views.
+    fn by_position(&self, cameras: &[Camera]) -> Vec<(Vec<usize>, Vec<usize>)> {
+        let places: Vec<DVec3> = cameras.iter().map(|camera| camera.pose.translation).collect();
+        let mut parts = Vec::new();
+        halve((0..self.views).collect(), self.count, &places, &mut parts);
+        parts.into_iter().map(|part| (part.clone(), self.extended(&part, &places))).collect()
     }
 
     /// Returns a part with the views nearest to it, in order.
@@ -200,8 +218,9 @@ impl Model {
         })
     }
 
-    /// As [`Model::reconstruct_views`], in a pass per block. Known cameras place the blocks, or the
-    /// patches that they share. A view's Gaussians are those of the block that has it as its own.
+    /// As [`Model::reconstruct_views`], in a pass per block. Known cameras place the blocks;
+    /// without them, the patches that blocks share do. A view's Gaussians are those of the block
+    /// that has it as its own.
     ///
     /// # Errors
     /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that

@@ -9,7 +9,7 @@ use std::{
 };
 use zipsplat::refine::{self, RefineResult};
 
-/// Difference of EXIF exposures, in stops, from which on they are learned.
+/// Difference of EXIF exposures, in stops, beyond which exposures are learned.
 const MIN_STOPS: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

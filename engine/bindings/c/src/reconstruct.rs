@@ -83,8 +83,8 @@ pub struct zs_reconstruct_options {
     /// Whether to keep the backbone's features on the device, for zs_reconstruct_again and
     /// zs_reconstruction_get_patch_tokens: 0 or 1.
     pub keep_features: u32,
-    /// Most photos of a pass, 1 to ZS_MAX_VIEWS; 0 is as many as the device's memory holds. More are
-    /// split into overlapping blocks, by the cameras' positions or by order, and joined in one
+    /// Most photos of a pass, 1 to ZS_MAX_VIEWS; 0 is as many as the device's memory holds. More
+    /// are split into overlapping blocks, by the cameras' positions or by order, and joined in one
     /// world. Neither features nor tokens are kept of several blocks.
     pub block_size: u32,
     /// Photos that neighboring blocks share; 0 is a quarter of the block.

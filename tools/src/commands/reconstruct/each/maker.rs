@@ -91,7 +91,7 @@ impl<'a> Maker<'a> {
         Ok((Self::Pixels(Box::new(predictor)), settings_key))
     }
 
-    /// Returns true if the network takes so many photos, in any number of passes.
+    /// Returns true if the network takes this number of photos, in any number of passes.
     pub fn takes(&self, photos: usize) -> bool {
         photos > 0 && (photos <= MAX_VIEWS || matches!(self, Self::Tokens { .. }))
     }
