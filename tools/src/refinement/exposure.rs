@@ -56,7 +56,7 @@ impl RefineSettings {
 fn stops(photos: &[PathBuf]) -> Option<f64> {
     let exposures: Vec<f64> = photos.iter().filter_map(|photo| exposure(photo)).collect();
     let bounds = exposures.iter().fold((f64::MAX, f64::MIN), |(low, high), of| (low.min(*of), high.max(*of)));
-    (exposures.len() > 1).then(|| bounds.1 - bounds.0)
+    (exposures.len() > 1).then_some(bounds.1 - bounds.0)
 }
 
 /// Returns the exposure in EXIF: the base 2 logarithm of time times ISO over the squared f-number.
