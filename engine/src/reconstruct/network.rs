@@ -116,7 +116,7 @@ impl Network {
     /// large as [`MAX_VIEWS`] and the device's memory allow.
     ///
     /// # Errors
-    /// Those of `shape`; [`Error::Argument`] for invalid `blocks`.
+    /// Those of `shape`; [`crate::Error::Argument`] for invalid `blocks`.
     pub fn block_layout(
         &self,
         limits: &Limits,
