@@ -215,7 +215,7 @@ fn what_cannot_be_reconstructed_is_refused() {
         let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, out) };
         refused(Object::try_new(make), ZS_ERROR_ARGUMENT, words);
     };
-    for count in [0, 193, usize::MAX, usize::MAX / 32 + 2] {
+    for count in [0, 65_537, usize::MAX, usize::MAX / 32 + 2] {
         refuses(&[image], count, &options, &["images"]);
     }
     for (width, height) in [(0, 1), (1, 0), (u32::MAX, u32::MAX), (32_769, 1), (32_768, 32_768)] {

@@ -2,9 +2,11 @@ use crate::{
     calls::*,
     header::root,
     installation::{Linking, installation, runner, success},
+    same_bits::rust_camera,
 };
 use std::ops::ControlFlow;
-use zipsplat::reconstruct::{Model, ReconstructOptions};
+use zipsplat::SceneFrame;
+use zipsplat::reconstruct::{BlockOptions, Model, ReconstructOptions};
 use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::device::device as rust_device;
 
@@ -72,6 +74,38 @@ fn known_cameras_are_not_estimated_and_an_estimated_scale_is_a_warning() {
         std::ffi::CStr::from_ptr(info.warnings).to_str().expect("UTF-8")
     };
     assert!(warnings.starts_with("no point cloud: scene scale 0.") && warnings.lines().count() == 1, "{warnings}");
+}
+
+#[test]
+fn photos_become_a_scene_in_blocks() {
+    let (device, photos) = (open_device(), photos(3));
+    let (model, images) = (model(&device), photos.iter().map(image_of).collect::<Vec<_>>());
+    let cameras = [0.0, 0.1, 0.2].map(|x| camera(SIDE, SIDE, x));
+    let whole =
+        zs_reconstruct_options { cameras: cameras.as_ptr(), camera_count: cameras.len(), ..reconstruct_options() };
+    let blocks = zs_reconstruct_options { block_size: 2, block_overlap: 1, ..whole };
+    let [one, joined] =
+        [&whole, &blocks].map(|options| read(&to_scene(&made(try_reconstruct(&model, &images, options)))));
+    assert!(joined.len() == one.len() && bits(&joined) != bits(&one), "{} and {}", joined.len(), one.len());
+    let rust = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
+    let options = ReconstructOptions {
+        cameras: Some(cameras.iter().map(rust_camera).collect()),
+        scene_scale: Some(1.0),
+        input_size: Some([SIDE; 2]),
+        world: Some(SceneFrame::FirstCamera),
+        blocks: BlockOptions { size: Some(2), overlap: Some(1) },
+        ..ReconstructOptions::default()
+    };
+    let expected = rust.reconstruct(&photos, &options, |_| ControlFlow::Continue(())).expect("a scene");
+    assert_eq!((expected.seams.len(), bits(&joined)), (1, bits(&expected.to_scene().expect("Gaussians"))));
+    for (options, words) in [
+        (zs_reconstruct_options { keep_features: 1, ..blocks }, ["keep_features", "2 blocks"]),
+        (zs_reconstruct_options { block_overlap: 2, ..blocks }, ["block overlap", "found 2"]),
+        (zs_reconstruct_options { block_size: 193, ..blocks }, ["block size", "1 to 192"]),
+        (zs_reconstruct_options { reserved: 1, ..blocks }, ["zs_reconstruct_options", "reserved"]),
+    ] {
+        refused(try_reconstruct(&model, &images, &options), ZS_ERROR_ARGUMENT, &words);
+    }
 }
 
 /// The refinement example can read the cameras of this one.

@@ -125,7 +125,7 @@ fn options_and_cameras_give_rusts_scene() {
     assert_same("world", &bits(&read(&reconstruct(&model, &images, &own))), &bits(&expected));
 }
 
-fn rust_camera(camera: &zs_camera) -> Camera {
+pub fn rust_camera(camera: &zs_camera) -> Camera {
     let zs_camera { width, height, fx, fy, cx, cy, translation, .. } = *camera;
     let pose = Pose { rotation: DMat3::IDENTITY, translation: DVec3::from_array(translation) };
     Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }

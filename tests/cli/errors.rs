@@ -28,7 +28,9 @@ fn photos() {
         refused(&folder, &format!("reconstruct {photos} {MICRO}"), 3, &words);
     }
     let many = vec!["@/photos"; 97].join(" ");
-    refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192", "--views N"]);
+    let folder = folder.with_depth();
+    let many = format!("reconstruct {many} --weights @/da3.safetensors -o @/out.ply");
+    refused(&folder, &many, 3, &["views", "194", "1 to 192", "--views N"]);
     for (name, start, kind, advice) in [
         ("a.HEIC", &b"\0\0\0\x18ftypheic\0\0\0\0"[..], "a HEIC picture", "`heif-convert @/a.HEIC @/a.HEIC.jpg`"),
         ("b.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0", "a HEIC picture", "`heif-convert @/b.jpg @/b.jpg.jpg`"),

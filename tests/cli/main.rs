@@ -1,6 +1,7 @@
 //! The command line, in process.
 
 mod batch;
+mod blocks;
 mod cameras;
 mod cancel;
 mod colmap_ends;

@@ -230,7 +230,7 @@ fn reconstructions_are_refined() {
         assert!(text.contains("against 9 photos"), "{text}");
         assert_eq!(text.contains("tokens"), start == "scene", "{text}");
     }
-    // The network takes 192 photos.
+    // A pass of the network takes 192 photos.
     let many = PHOTOS.replace("@/place/images", &["@/place/images"; 20].join(" "));
     let text = folder.run(&format!("reconstruct {many} --refine=2 --init points -o @/many.ply")).success();
     assert!(text.contains("against 199 photos"), "{text}");

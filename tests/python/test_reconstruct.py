@@ -42,6 +42,9 @@ def test_kept_features_give_other_scenes_and_patch_tokens(model: zipsplat.Model,
     assert whole.patch_tokens.shape == (len(photos), rows, columns, whole.channel_count)
     with pytest.raises(zipsplat.ArgumentError, match="without features"):
         half.again()
+    with pytest.raises(zipsplat.ArgumentError, match="keep_features"):
+        cameras = [zipsplat.Camera.from_fov(*SIZE)] * len(photos)
+        model.reconstruct(photos, cameras, input_size=SIZE, keep_features=True, block_size=1)
     with pytest.raises(zipsplat.ArgumentError, match="ratio"):
         whole.again(ratio=-1)
 
@@ -281,6 +284,8 @@ def test_invalid_arguments_raise(model: zipsplat.Model, photos: list[Path], capt
         ([picture], {"world": "input_cameras"}, zipsplat.ArgumentError, "world"),
         ([picture], {"input_size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
         ([picture], {"kv_pool": 0}, ValueError, "kv_pool: found 0"),
+        ([picture], {"block_size": 0}, ValueError, "block_size: found 0"),
+        ([picture], {"block_size": 193}, ValueError, "block size: found 193"),
         ([picture], {"input_size": (0, 70)}, ValueError, "input_size: found 0"),
         ([picture], {"seed": -1}, ValueError, "seed: found -1"),
         ([picture], {"seed": "a"}, zipsplat.ArgumentTypeError, "seed: found 'a'"),

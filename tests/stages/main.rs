@@ -2,6 +2,7 @@
 
 mod align;
 mod arena;
+mod blocks;
 mod camera_estimates;
 mod cameras;
 mod depth;

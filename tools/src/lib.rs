@@ -6,6 +6,7 @@
 pub mod align;
 mod animation;
 mod antialiasing;
+mod blocks;
 mod cameras;
 mod capture;
 mod color;

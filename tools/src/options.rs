@@ -10,7 +10,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Pool, Precision},
-    reconstruct::{Ratio, ReconstructOptions, TokenSelection},
+    reconstruct::{Ratio, ReconstructOptions, Shape, TokenSelection},
     stages::cluster::auto_ratio,
     tune::KernelChoice,
     types::{Camera, Image, Scene, open_file},
@@ -230,6 +230,12 @@ impl Quality {
         if let Some(keep) = self.kept() {
             scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
         }
+    }
+
+    /// Returns the shape of a pass over `views` views.
+    pub fn shape(&self, architecture: &Architecture, views: usize, size: Size, cameras: bool) -> Result<Shape> {
+        let chosen = (self.ratio, &self.token_selection);
+        Shape::new(architecture, views, [size.0, size.1], chosen, cameras)?.pooled(self.kv_pool)
     }
 
     /// Without `cameras` the network estimates them.

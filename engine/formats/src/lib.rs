@@ -24,6 +24,7 @@ mod scalar;
 mod scene;
 mod scene_file;
 mod sh_rotation;
+mod similarity;
 mod skipped_pass;
 mod sog;
 mod source;
@@ -52,6 +53,7 @@ pub use ply::{
 pub use scene::{NEAR, Scene, near};
 pub use scene_file::{SceneFormat, read_world};
 pub use sh_rotation::sh_rotation;
+pub use similarity::Similarity;
 pub use skipped_pass::SkippedPass;
 pub use spz::spz_coarsening;
 pub use tiles::{tile_count, tiles};

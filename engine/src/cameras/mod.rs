@@ -7,12 +7,10 @@ mod decoded;
 mod focal;
 mod p3p;
 mod rays;
-mod scale;
 
 pub use decoded::{camera_to_world, decoded_camera};
 pub(crate) use focal::share_focal_lengths;
 pub use rays::RayMap;
-pub use scale::scale_between;
 
 use crate::{
     Error, Result,

@@ -1,13 +1,14 @@
 use crate::{
     Error, Result,
-    cameras::{CameraEstimate, RayMap, camera_to_world, decoded_camera, scale_between, share_focal_lengths},
+    cameras::{CameraEstimate, RayMap, camera_to_world, decoded_camera, share_focal_lengths},
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
         heads::{CameraTensors, HeadTensors, ViewTensors},
     },
-    types::{Camera, preprocess::PixelMap},
+    types::{Camera, Similarity, preprocess::PixelMap},
 };
+use glam::DVec3;
 
 /// Source of estimated cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,10 +58,13 @@ impl DepthPrediction {
     /// # Errors
     /// [`Error::Argument`] for coincident cameras or separate views.
     pub fn align_to_cameras(&mut self, cameras: &[Camera]) -> Result<()> {
-        let centers = |cameras: &[Camera]| cameras.iter().map(|camera| camera.pose.translation).collect::<Vec<_>>();
-        let scale = scale_between(&centers(cameras), &centers(&self.cameras()?));
+        let estimated = self.cameras()?;
+        let centers = cameras.iter().zip(&estimated).map(|(a, b)| [a.pose.translation, b.pose.translation]);
+        let centers: Vec<[DVec3; 2]> = centers.collect();
         let expected = "at least two places, or the network has none";
-        let scale = scale.ok_or_else(|| Error::argument("places of the cameras", "one", expected))?;
+        let aligned = Similarity::of_points(&centers, &vec![1.0; centers.len()]);
+        let Similarity { scale, .. } =
+            aligned.ok_or_else(|| Error::argument("places of the cameras", "one", expected))?;
         let depths = self.views.iter_mut().flat_map(|view| &mut view.depth);
         depths.for_each(|depth| *depth = (f64::from(*depth) / scale) as f32);
         Ok(())

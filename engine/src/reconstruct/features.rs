@@ -149,6 +149,7 @@ impl Model {
             times,
             outline: Profile::outline(run.plan()),
             skipped_passes: shape.skipped_passes(),
+            seams: Vec::new(),
             peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + features.bytes() + gaussians.bytes(),
             gaussians,
             placement: None,

@@ -1,5 +1,6 @@
 //! Reconstruction of scenes from photos.
 
+mod blocks;
 mod features;
 mod network;
 mod options;
@@ -7,9 +8,10 @@ mod patches;
 mod prepare;
 mod token_selection;
 
+pub use blocks::{Block, BlockLayout, BlockOptions, Seam};
 pub use features::{BackboneFeatures, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
-pub use options::{MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape};
+pub use options::{MAX_PATCHES, MAX_PHOTOS, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape};
 pub(crate) use options::{check_cameras, grid, no_camera_encoder, size_of};
 pub use patches::Patches;
 pub use prepare::{Placement, Prepared};
@@ -49,6 +51,8 @@ pub struct Reconstruction {
     pub outline: Profile,
     /// Skipped stages.
     pub skipped_passes: Vec<SkippedPass>,
+    /// Seams between blocks of views: none after one pass.
+    pub seams: Vec<Seam>,
     /// Arena, weight and Gaussian bytes.
     pub peak_bytes: u64,
 }
@@ -180,8 +184,8 @@ impl Model {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, a multiple of the patch size, and their
-    /// cameras.
+    /// Reconstructs a scene in one pass from images of one size, a multiple of the patch size, and
+    /// their cameras.
     pub fn reconstruct_views(
         &self,
         images: &[Image],
@@ -233,6 +237,7 @@ impl Model {
             times,
             outline: Profile::outline(run.plan()),
             skipped_passes: shape.skipped_passes(),
+            seams: Vec::new(),
             peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
             gaussians,
             placement: None,

@@ -1,4 +1,4 @@
-use super::{SelectedTokens, Shape};
+use super::{BlockLayout, BlockOptions, MAX_VIEWS, SelectedTokens, Shape};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
@@ -108,6 +108,41 @@ impl Network {
         let mut rec = Recorder::new(limits);
         let tensors = self.record_into(&mut rec, shape, into);
         Ok(NetworkPlan { plan: rec.finish()?, tensors, layout })
+    }
+
+    /// Lays out the blocks of `views` views in passes of this `shape`. By default a block is as
+    /// large as [`MAX_VIEWS`] and the device's memory allow.
+    ///
+    /// # Errors
+    /// Those of `shape`; [`crate::Error::Argument`] for invalid `blocks`.
+    pub fn block_layout(
+        &self,
+        limits: &Limits,
+        views: usize,
+        blocks: BlockOptions,
+        shape: impl Fn(usize) -> Result<Shape>,
+    ) -> Result<BlockLayout> {
+        let bytes = |size: usize| -> Result<u64> {
+            let layout = BlockLayout::new(views, size, blocks.overlap)?;
+            let (shape, plan) = (shape(size)?, self.plan(limits, shape(size)?)?);
+            let (_, joined) = layout.scene(limits, shape, *plan.tensors.scene());
+            Ok(self.weight_bytes() + plan.bytes() + joined)
+        };
+        let fits = |size: usize| bytes(size).is_ok_and(|bytes| bytes <= limits.memory_bytes);
+        let most = views.min(MAX_VIEWS);
+        let size = match blocks.size {
+            Some(size) => size,
+            None if most <= BlockLayout::SMALLEST || fits(most) => most,
+            None => {
+                let (mut size, mut too_large) = (BlockLayout::SMALLEST, most);
+                while too_large - size > 1 {
+                    let middle = (size + too_large) / 2;
+                    *(if fits(middle) { &mut size } else { &mut too_large }) = middle;
+                }
+                size
+            }
+        };
+        BlockLayout::checked(views, size, blocks.overlap, shape)
     }
 
     /// Number of Gaussians.

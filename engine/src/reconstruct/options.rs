@@ -1,4 +1,4 @@
-use super::{TokenSampling, TokenSelection};
+use super::{BlockOptions, TokenSampling, TokenSelection};
 use crate::{
     Error, Result,
     ops::Pool,
@@ -6,10 +6,13 @@ use crate::{
     types::{Camera, Image, SkippedPass, poses::Capture},
 };
 
-/// Maximum views per reconstruction.
+/// Maximum views of a pass.
 pub const MAX_VIEWS: usize = 192;
 
-/// Maximum patches, for 32-bit indices.
+/// Maximum views of all passes.
+pub const MAX_PHOTOS: usize = 1 << 16;
+
+/// Maximum patches of a pass, for 32-bit indices.
 pub const MAX_PATCHES: usize = 1 << 20;
 
 /// Ratio of kept tokens.
@@ -54,6 +57,8 @@ pub struct ReconstructOptions {
     pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,
+    /// Passes over blocks of views, if one pass does not hold all.
+    pub blocks: BlockOptions,
 }
 
 impl Default for ReconstructOptions {
@@ -67,6 +72,7 @@ impl Default for ReconstructOptions {
             world: None,
             input_size: None,
             kv_pool: 1,
+            blocks: BlockOptions::default(),
         }
     }
 }

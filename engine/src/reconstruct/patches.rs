@@ -11,10 +11,10 @@ use glam::{DVec2, DVec3};
 /// Source patch per token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Patches {
-    grid: ViewGrid,
+    pub(super) grid: ViewGrid,
     /// Unless all are kept.
-    kept: Option<Vec<u32>>,
-    posed: bool,
+    pub(super) kept: Option<Vec<u32>>,
+    pub(super) posed: bool,
 }
 
 /// Fraction of a patch's pixels that are masked if the patch is.
@@ -77,27 +77,36 @@ impl Patches {
         (view, (place + 0.5) * self.grid.patch_size as f64)
     }
 
-    /// Returns pairs per view: tokens' opacity-weighted means and patch centers.
+    /// Returns the opacity-weighted mean of each token's Gaussians, if any is visible.
     ///
     /// # Errors
     /// [`Error::Argument`] unless tokens have equally many Gaussians.
-    pub fn pairs(&self, scene: &Scene) -> Result<Vec<Vec<Correspondence>>> {
+    pub(super) fn means(&self, scene: &Scene) -> Result<Vec<Option<DVec3>>> {
         if self.is_empty() || scene.is_empty() || !scene.len().is_multiple_of(self.len()) {
             let expected = format!("so many for each of the {} tokens", self.len());
             return Err(Error::argument("Gaussians of the scene", scene.len(), expected));
         }
         let each = scene.len() / self.len();
-        let mut pairs = vec![Vec::new(); self.grid.views];
-        for (token, (means, opacities)) in scene.means.chunks(each).zip(scene.opacities.chunks(each)).enumerate() {
+        let mean = |(means, opacities): (&[[f32; 3]], &[f32])| {
             let weighted =
                 means.iter().zip(opacities).map(|(mean, weight)| (DVec3::from(mean.map(f64::from)), *weight));
             let (sum, weights) = weighted.fold((DVec3::ZERO, 0.0), |(sum, weights), (mean, weight)| {
                 (sum + f64::from(weight) * mean, weights + f64::from(weight))
             });
+            (weights > 0.0).then(|| sum / weights)
+        };
+        Ok(scene.means.chunks(each).zip(scene.opacities.chunks(each)).map(mean).collect())
+    }
+
+    /// Returns pairs per view: means of tokens' Gaussians and patch centers.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] unless tokens have equally many Gaussians.
+    pub fn pairs(&self, scene: &Scene) -> Result<Vec<Vec<Correspondence>>> {
+        let mut pairs = vec![Vec::new(); self.grid.views];
+        for (token, point) in self.means(scene)?.into_iter().enumerate() {
             let (view, pixel) = self.patch(token);
-            if weights > 0.0 {
-                pairs[view].push(Correspondence { point: sum / weights, pixel });
-            }
+            pairs[view].extend(point.map(|point| Correspondence { point, pixel }));
         }
         Ok(pairs)
     }

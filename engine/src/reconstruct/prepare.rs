@@ -1,4 +1,4 @@
-use super::{Model, ReconstructOptions, Reconstruction, SceneFrame, Shape};
+use super::{Block, Model, ReconstructOptions, Reconstruction, SceneFrame};
 use crate::{
     Error, Result,
     gpu::Progress,
@@ -20,6 +20,8 @@ pub struct Prepared {
     pub images: Vec<Image>,
     /// Options for the views.
     pub options: ReconstructOptions,
+    /// Blocks of views, each a pass: one if it holds all.
+    pub blocks: Vec<Block>,
     /// Relation to the photos.
     pub placement: Placement,
     /// Warning about an estimated scene scale.
@@ -51,10 +53,11 @@ impl Model {
         let prepared = self.prepare(photos.len(), options, view, |now| {
             progress(Progress { fraction: PREPARATION * now.fraction, ..now })
         })?;
-        let made = self.reconstruct_views(&prepared.images, &prepared.options, |now| {
+        let Prepared { images, options, blocks, placement, .. } = prepared;
+        let made = self.reconstruct_blocks(&images, &options, &blocks, |now| {
             progress(Progress { fraction: PREPARATION + (1.0 - PREPARATION) * now.fraction, ..now })
         })?;
-        Ok(Reconstruction { placement: Some(prepared.placement), ..made })
+        Ok(Reconstruction { placement: Some(placement), ..made })
     }
 
     /// Prepares `count` photos, which `view` opens and fits to a width and height. Checks options
@@ -67,8 +70,7 @@ impl Model {
         mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Prepared> {
         let size = options.input_size.unwrap_or([self.image_size; 2]);
-        let chosen = (options.ratio, &options.token_selection);
-        Shape::new(self.architecture(), count, size, chosen, options.cameras.is_some())?.pooled(options.kv_pool)?;
+        let layout = self.block_layout(count, size, options)?;
         let cameras = options.cameras.as_deref();
         if let Some(cameras) = cameras
             && cameras.len() != count
@@ -95,24 +97,25 @@ impl Model {
             }
         }
         let of_views = cameras.map(|cameras| view_cameras(cameras, &views)).transpose()?;
-        let scale = scene_scale(options, of_views.as_deref())?;
+        let scale_of = |views: &[Camera], pose: &Pose| {
+            let cameras = cameras.unwrap_or_default();
+            let (given, origin) = (options.scene_scale, cameras[0].pose.compose(pose));
+            match &options.capture {
+                Some(capture) => capture.scene_scale(given, views, &origin),
+                None => {
+                    let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
+                    SceneScale::of(given, &poses, None, views, &origin)
+                }
+            }
+        };
+        let scale = of_views.as_deref().map(|of_views| scale_of(of_views, &Pose::IDENTITY)).transpose()?;
         let warning = scale.as_ref().and_then(SceneScale::doubt);
         let scene_scale = scale.map(|scale| scale.length).or(options.scene_scale);
+        let blocks = layout.blocks(of_views.as_deref(), scene_scale.unwrap_or(1.0), |views, pose| {
+            scale_of(views, pose).map(|scale| scale.length)
+        })?;
         let (images, maps) = views.into_iter().map(|view| (view.image, view.map)).unzip();
         let options = ReconstructOptions { cameras: of_views, scene_scale, ..options.clone() };
-        Ok(Prepared { images, options, placement: Placement { maps, pose }, warning })
+        Ok(Prepared { images, options, blocks, placement: Placement { maps, pose }, warning })
     }
-}
-
-fn scene_scale(options: &ReconstructOptions, of_views: Option<&[Camera]>) -> Result<Option<SceneScale>> {
-    let (Some(cameras), Some(of_views)) = (&options.cameras, of_views) else { return Ok(None) };
-    let origin = cameras[0].pose;
-    match &options.capture {
-        Some(capture) => capture.scene_scale(options.scene_scale, of_views, &origin),
-        None => {
-            let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
-            SceneScale::of(options.scene_scale, &poses, None, of_views, &origin)
-        }
-    }
-    .map(Some)
 }

@@ -1,7 +1,7 @@
 use super::*;
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use zipsplat::refine::Photos;
+use zipsplat::refine::{Photos, RefineCheckpoint};
 
 struct Opened<'a>(&'a [Image], &'a AtomicUsize);
 
@@ -23,12 +23,22 @@ impl Photos for Opened<'_> {
 
 /// Refines for 20 steps, with one thread that opens photos; also returns the times left.
 fn refine_opened(photos: &[Image], times: usize, max_photo_bytes: u64) -> (RefineResult, usize) {
+    refine_from(photos, times, max_photo_bytes, None)
+}
+
+fn refine_from(
+    photos: &[Image],
+    times: usize,
+    max_photo_bytes: u64,
+    checkpoint: Option<RefineCheckpoint>,
+) -> (RefineResult, usize) {
     let cameras = cameras(photos.len());
     let request = RefineOptions {
         length: RefineLength::Steps(20),
         holdout_views: Some(1),
         views_per_step: 2,
         max_photo_bytes,
+        checkpoint,
         ..RefineOptions::default()
     };
     let (left, arena, scene) = (AtomicUsize::new(times), Arena::new(device()), moved(&random_scene(80, 1, 0.3)));
@@ -55,12 +65,19 @@ fn results_are_independent_of_the_memory_for_photos() {
 }
 
 #[test]
-fn photos_that_vanish_end_the_refinement_with_the_best_scene() {
-    let photos = photos(&cameras(6)).1;
-    let (refined, _) = refine_opened(&photos, 12, 0);
+fn photos_that_vanish_end_the_refinement_with_the_best_scene_and_a_checkpoint() {
+    let (photos, folder) = (photos(&cameras(6)).1, tempfile::tempdir().unwrap());
+    let path = folder.path().join("checkpoint");
+    let checkpoint = RefineCheckpoint { path: path.clone(), interval: Duration::MAX, photos: "these".into() };
+    let (refined, _) = refine_from(&photos, 12, 0, Some(checkpoint.clone()));
     assert!(matches!(&refined.stop_reason, Some(StopReason::Io(why)) if why.contains("no file")));
     let steps = refined.losses.len();
     assert!((1..20).contains(&steps) && (1..=steps).contains(&refined.best_step), "{steps}, {}", refined.best_step);
+    // Once the photos are back, the refinement goes on where it ended.
+    let (resumed, _) = refine_from(&photos, 500, 0, Some(checkpoint));
+    let (whole, _) = refine_opened(&photos, 500, 0);
+    assert_eq!((resumed.resumed_step, resumed.stop_reason), (steps, None));
+    assert!(resumed.scene == whole.scene && resumed.losses == whole.losses && path.exists());
 }
 
 #[test]

@@ -3,12 +3,11 @@ mod find;
 mod network;
 mod paths;
 mod place;
-mod similarity;
 mod work;
 
 pub use colmap::Searching;
 pub use find::{EstimatedCameras, Finder, Finding, KnownCameras};
 pub use paths::{CameraArgs, to_scene};
 pub use place::{ModelOption, Place, path_from};
-pub use similarity::Similarity;
 pub use work::lenses;
+pub use zipsplat::types::Similarity;

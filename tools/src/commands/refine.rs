@@ -111,7 +111,7 @@ impl Refine {
         let known = self.settings.known_depth(session, (&photos, &frames), &started.cameras, unit)?;
         let checkpoint = refinement::checkpoint(&self.output, &photos, masks.as_ref(), known.as_ref())?;
         let files = WithDepth(PhotoFiles::new(&photos, &frames, masks)?, known.as_ref());
-        let (refined, request) = self.refine(session, &device, &started, (files, checkpoint))?;
+        let (refined, request) = self.refine(session, &device, &started, (files, &photos, checkpoint))?;
         let options = SaveOptions::default();
         let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         session.notes(notes);
@@ -126,7 +126,7 @@ impl Refine {
             ));
             return Err(Error::Cancelled);
         }
-        refinement::remove_checkpoint(&request);
+        refinement::remove_checkpoint(&request, &refined);
         self.report(session, device.limits().name.clone(), &photos, &started.cameras, refined, &request)
     }
 
@@ -177,13 +177,13 @@ impl Refine {
         session: &mut Session<'_>,
         device: &Device,
         started: &Started,
-        (photos, checkpoint): (WithDepth<'_, PhotoFiles<'_>>, RefineCheckpoint),
+        (photos, paths, checkpoint): (WithDepth<'_, PhotoFiles<'_>>, &[PathBuf], RefineCheckpoint),
     ) -> Result<(RefineResult, RefineOptions)> {
         let request = RefineOptions {
             views_per_step: self.views_per_step,
             profile: self.explain,
             checkpoint: Some(checkpoint),
-            ..self.settings.request(self.steps, self.input.antialiased, photos.1.map(|known| known.kind))
+            ..self.settings.request(self.steps, self.input.antialiased, photos.1.map(|known| known.kind), paths)
         };
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
         Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))
@@ -213,7 +213,10 @@ impl Refine {
         );
         if let Some(profile) = &refined.profile {
             let explanation = Explanation::of_kernels(profile, Vec::new());
-            text += &format!("\n{explanation}\n{}", refinement::explain(&refined, request, start, photos));
+            text += &format!(
+                "\n{explanation}\n{}",
+                refinement::explain(&refined, (request, &self.settings), start, photos)
+            );
             json["explain"] = json!(explanation);
         }
         session.report(&json, text)

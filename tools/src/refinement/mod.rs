@@ -1,3 +1,4 @@
+mod exposure;
 mod initialization;
 mod options;
 mod report;
@@ -69,8 +70,10 @@ pub fn checkpoint(
     Ok(RefineCheckpoint { path: path.into(), interval: INTERVAL, photos: digest(&parts) })
 }
 
-pub fn remove_checkpoint(request: &RefineOptions) {
-    if let Some(checkpoint) = &request.checkpoint {
+/// Removes the checkpoint of a scene that is written, unless unreadable files ended the refinement.
+pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
+    let is_needed = matches!(refined.stop_reason, Some(StopReason::Io(_)));
+    if let Some(checkpoint) = request.checkpoint.as_ref().filter(|_| !is_needed) {
         std::fs::remove_file(&checkpoint.path).ok();
     }
 }

@@ -1,4 +1,4 @@
-use super::Initialization;
+use super::{Initialization, exposure::Exposure};
 use crate::{antialiasing::Antialiasing, known_depth::KnownDepth, options::Size, session::Session};
 use clap::{Arg, ArgGroup, Args, ValueEnum};
 use std::{
@@ -12,7 +12,7 @@ use zipsplat::{
     Error, Result,
     gpu::cache_dir,
     perceptual::Perceptual,
-    refine::{self, DepthKind, DepthLoss, PerceptualLoss, RefineLength, RefineOptions},
+    refine::{DepthKind, DepthLoss, PerceptualLoss, RefineLength, RefineOptions},
     stages::lpips::LpipsNetwork,
     types::{Camera, Image, poses::CaptureView},
 };
@@ -88,17 +88,6 @@ enum RefineTarget {
     Tokens,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Exposure {
-    /// If a factor per photo and color explains 20 % of the squared error after a tenth of the
-    /// steps, at least 10
-    Auto,
-    /// Never
-    Off,
-    /// From a tenth of the steps on, at least 10
-    On,
-}
-
 #[derive(Args, Debug)]
 pub struct RefineSettings {
     /// Initialization [default: scene; for the built-in model points, if the capture has enough]
@@ -117,7 +106,7 @@ pub struct RefineSettings {
     /// Learn a color transform per photo, for photos of different exposure or white balance. The
     /// scene's colors are the photos' mean
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
-    exposure: Exposure,
+    pub(super) exposure: Exposure,
     /// Grow the scene to at most N Gaussians (3DGS-MCMC) by relocating invisible Gaussians and
     /// adding new ones; 0: no growth [default: from 50 steps on and below a training PSNR
     /// of 25 dB, a Gaussian per 32 pixels of the photos, at most 16 times the initial number; from
@@ -212,14 +201,16 @@ impl RefineSettings {
 
     /// Settings without a device, where the kind of depth is of no importance.
     pub fn planned(&self, task: RefineTask, antialiased: Antialiasing) -> RefineOptions {
-        self.request(task, antialiased, self.depth_loss.as_ref().map(|_| DepthKind::Metric))
+        self.request(task, antialiased, self.depth_loss.as_ref().map(|_| DepthKind::Metric), &[])
     }
 
+    /// Exposures of `photos` by EXIF can turn on that they are learned.
     pub fn request(
         &self,
         RefineTask { length, .. }: RefineTask,
         antialiased: Antialiasing,
         depth: Option<DepthKind>,
+        photos: &[PathBuf],
     ) -> RefineOptions {
         let depth_loss = depth.map(DepthLoss::of);
         let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
@@ -228,11 +219,7 @@ impl RefineSettings {
             max_image_size: Some([self.max_image_size.0, self.max_image_size.1]),
             holdout_views: self.holdout_views,
             optimize_cameras: self.optimize_cameras,
-            exposure: match self.exposure {
-                Exposure::Auto => refine::Exposure::Auto,
-                Exposure::Off => refine::Exposure::Off,
-                Exposure::On => refine::Exposure::On,
-            },
+            exposure: self.exposure.of_photos(photos),
             antialiased: antialiased.given(),
             max_gaussians: self.max_gaussians,
             perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),

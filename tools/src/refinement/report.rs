@@ -1,4 +1,4 @@
-use super::TOKENS;
+use super::{RefineSettings, TOKENS};
 use crate::{
     metrics::median,
     table::{Table, bytes, counted, significant, time},
@@ -55,7 +55,12 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
     })
 }
 
-pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, photos: &[PathBuf]) -> Table {
+pub fn explain(
+    refined: &RefineResult,
+    (request, settings): (&RefineOptions, &RefineSettings),
+    start: &str,
+    photos: &[PathBuf],
+) -> Table {
     let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
     let held: Vec<String> = refined.holdout_views.iter().map(name).collect();
     let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
@@ -104,6 +109,7 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
         ("held-out photos", or_none(held.join(", "))),
         ("largest photo", or_none(sizes.join(", "))),
         ("masked", masked(refined).unwrap_or("none".into())),
+        ("exposures", settings.exposure_rule(photos, refined)),
         ("depth", depth(refined, request).unwrap_or("none".into())),
         ("memory", bytes(refined.peak_bytes)),
         ("stop reason", ended(refined)),
@@ -146,8 +152,12 @@ pub(super) fn doubt(refined: &RefineResult) -> Option<String> {
              --holdout-views 1 measures it",
             counted(training, "photo")
         )),
-        Some(StopReason::Diverged(why) | StopReason::Io(why)) => {
-            Some(format!("the refinement ended early: {why}; the scene after step {} is kept", refined.best_step))
+        Some(reason @ (StopReason::Diverged(why) | StopReason::Io(why))) => {
+            let remedy = if matches!(reason, StopReason::Io(_)) { "; the same command continues" } else { "" };
+            Some(format!(
+                "the refinement ended early: {why}; the scene after step {} is kept{remedy}",
+                refined.best_step
+            ))
         }
         _ => None,
     }

@@ -2,7 +2,7 @@ mod progress;
 
 pub use progress::Stage;
 
-use crate::table::bytes;
+use crate::{blocks::refuse_tokens, table::bytes};
 use clap::Args;
 use serde::Serialize;
 use std::{
@@ -19,7 +19,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions, Progress},
     ops::{Arithmetic, Precision},
-    reconstruct::{Model, ReconstructOptions, Reconstruction, SceneTokens},
+    reconstruct::{Block, Model, ReconstructOptions, Reconstruction, SceneTokens},
     tune::KernelChoice,
     types::Image,
     weights::Checkpoint,
@@ -174,19 +174,20 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Runs the backbone once for a scene and any requested tokens.
+    /// Runs the backbone once per block of views for a scene and any requested tokens.
     pub fn reconstruct(
         &self,
         model: &Model,
-        images: &[Image],
+        (images, blocks): (&[Image], &[Block]),
         request: &ReconstructOptions,
         tokens: bool,
     ) -> Result<((Reconstruction, Option<SceneTokens>), Duration)> {
         self.stage("reconstruct", |stage| {
             let follow = |progress: Progress<'_>| stage.follow(progress);
             if !tokens {
-                return Ok((model.reconstruct_views(images, request, follow)?, None));
+                return Ok((model.reconstruct_blocks(images, request, blocks, follow)?, None));
             }
+            refuse_tokens(blocks.len())?;
             let features = model.features(images, request, follow)?;
             let mut made = model.reconstruct_features(&features, request, follow)?;
             let tokens = model.tokens(&features, request, follow)?;

@@ -248,7 +248,7 @@ impl FromPhotos {
         };
         let settings = &self.refine.settings;
         let known = settings.known_depth(session, (&ready.photos, &frames), &cameras, 1.0)?;
-        let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind));
+        let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind), &ready.photos);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched::new(start, tokens, (photos, known), cameras, request)))

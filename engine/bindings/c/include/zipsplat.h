@@ -753,7 +753,7 @@ void zs_reconstruction_destroy(struct zs_reconstruction *reconstruction);
 /*  Reconstruction: photos to a scene.  */
 /****************************************/
 
-// Maximum number of photos.
+// Maximum number of photos of one pass.
 #define ZS_MAX_VIEWS 192
 
 // The paper's ratio: 0.5 sqrt(2 / number of photos).
@@ -807,10 +807,16 @@ typedef struct zs_reconstruct_options {
     // Whether to keep the backbone's features on the device, for zs_reconstruct_again and
     // zs_reconstruction_get_patch_tokens: 0 or 1.
     uint32_t keep_features;
+    // Most photos of a pass, 1 to ZS_MAX_VIEWS; 0 is as many as the device's memory holds. More
+    // are split into overlapping blocks, by the cameras' positions or by order, and joined in one
+    // world. Neither features nor tokens are kept of several blocks.
+    uint32_t block_size;
+    // Photos that neighboring blocks share; 0 is a quarter of the block.
+    uint32_t block_overlap;
     uint32_t reserved;
 } zs_reconstruct_options;
 
-// Reconstructs a scene from 1 to ZS_MAX_VIEWS photos of one place.
+// Reconstructs a scene from 1 to 65,536 photos of one place.
 zs_status zs_reconstruct(const struct zs_model *model,
                          const struct zs_image *images,
                          size_t image_count,

@@ -20,6 +20,7 @@ use std::{
 use zipsplat::{
     Camera, DepthMap, DepthModel, DepthOptions, DepthPrediction, Image, Precision, Progress,
     depth::CameraSource,
+    reconstruct::MAX_VIEWS,
     tune::KernelChoice,
     types::{
         bounded_views,
@@ -174,7 +175,7 @@ pub unsafe extern "C" fn zs_depth_predict(
     let find = || {
         // SAFETY: the caller's arguments.
         let (zs_depth_model { model, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
-        check_view_count(image_count)?;
+        check_view_count(image_count, MAX_VIEWS)?;
         let sources = [CameraSource::Decoder, CameraSource::Rays];
         let source = meaning("camera_source", options.camera_source, "zs_camera_source", sources)?;
         let shares_focal = !flag("per_view_focal", options.per_view_focal)?;

@@ -18,7 +18,7 @@ use std::{
 };
 use zipsplat::{
     Camera, Progress, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection,
-    reconstruct::{BackboneFeatures, MAX_VIEWS},
+    reconstruct::{BackboneFeatures, BlockOptions, MAX_PHOTOS, MAX_VIEWS},
     types::preprocess::fit,
 };
 
@@ -58,6 +58,8 @@ pub struct zs_reconstruct_options {
     pub user_data: *mut c_void,
     pub capture: *const zs_capture,
     pub keep_features: u32,
+    pub block_size: u32,
+    pub block_overlap: u32,
     pub reserved: u32,
 }
 
@@ -76,7 +78,7 @@ pub unsafe extern "C" fn zs_reconstruct(
         let (zs_model, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         let zs_model { model, head, .. } = zs_model;
         let keeps = flag("keep_features", options.keep_features)?;
-        check_view_count(image_count)?;
+        check_view_count(image_count, MAX_PHOTOS)?;
         // SAFETY: the caller's arguments.
         let (images, cameras, capture) = unsafe {
             let images = read_array(images, image_count, "images")?;
@@ -92,12 +94,16 @@ pub unsafe extern "C" fn zs_reconstruct(
             move |now: Progress<'_>| reporter.fraction(now.scope, part.start + (part.end - part.start) * now.fraction)
         };
         let prepared = model.prepare(image_count, &wanted, view, within(0.0..0.1))?;
-        let (images, options) = (&prepared.images, &prepared.options);
+        let (images, options, blocks) = (&prepared.images, &prepared.options, &prepared.blocks);
         let placement = Some(prepared.placement);
         let warning = prepared.warning.unwrap_or_default();
         let arena = model.arena().clone();
-        if head.is_none() && !keeps {
-            let made = model.reconstruct_views(images, options, within(0.1..1.0))?;
+        if keeps && blocks.len() > 1 {
+            let found = format!("1, with {} blocks of photos", blocks.len());
+            return Err(Failure::argument("keep_features", found, "0, or photos of one block"));
+        }
+        if head.is_none() && !keeps || blocks.len() > 1 {
+            let made = model.reconstruct_blocks(images, options, blocks, within(0.1..1.0))?;
             return Ok(zs_reconstruction::new(Reconstruction { placement, ..made }, None, arena, warning));
         }
         let features = model.features(images, options, within(0.1..0.8))?;
@@ -149,9 +155,9 @@ impl zs_model {
     }
 }
 
-pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
-    let expected = || format!("1 to {MAX_VIEWS}");
-    let is_allowed = (1..=MAX_VIEWS).contains(&count);
+pub(super) fn check_view_count(count: usize, most: usize) -> Result<(), Failure> {
+    let expected = || format!("1 to {most}");
+    let is_allowed = (1..=most).contains(&count);
     if is_allowed { Ok(()) } else { Err(Failure::argument("number of images", count, expected())) }
 }
 
@@ -173,6 +179,10 @@ impl zs_reconstruct_options {
             world: meaning("world", self.world, "zs_world", worlds)?,
             input_size: (self.input_size != [0; 2]).then_some(self.input_size),
             kv_pool: self.kv_pool.max(1) as usize,
+            blocks: BlockOptions {
+                size: (self.block_size > 0).then_some(self.block_size as usize),
+                overlap: (self.block_overlap > 0).then_some(self.block_overlap as usize),
+            },
         })
     }
 }

@@ -40,6 +40,21 @@ impl Profile {
             .fold((Duration::ZERO, 0), |(time, flops), r| (time + r.time, flops + r.flops))
     }
 
+    /// Adds another run's rows to those of the same scope and kernel.
+    pub fn add(&mut self, other: &Self) {
+        for row in &other.rows {
+            match self.rows.iter_mut().find(|own| (&own.scope, &own.kernel) == (&row.scope, &row.kernel)) {
+                Some(own) => {
+                    own.count += row.count;
+                    own.time += row.time;
+                    own.flops += row.flops;
+                    own.bytes += row.bytes;
+                }
+                None => self.rows.push(row.clone()),
+            }
+        }
+    }
+
     /// Returns rows with zero times.
     pub fn outline(plan: &Plan) -> Self {
         Self::new(plan, &vec![0.0; plan.len()])

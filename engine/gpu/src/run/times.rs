@@ -10,7 +10,8 @@ impl StageTimes {
         self.0.iter().map(|s| s.1).sum()
     }
 
-    pub(crate) fn add(&mut self, stage: &str, took: Duration) {
+    /// Adds to the time of a stage.
+    pub fn add(&mut self, stage: &str, took: Duration) {
         match self.0.iter_mut().find(|s| s.0 == stage) {
             Some(known) => known.1 += took,
             None => self.0.push((stage.to_owned(), took)),

@@ -78,7 +78,7 @@ impl Errors {
 
 /// Returns median angle, distance over the extent, and relative focal length error.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
-    let (similarity, _) = Similarity::between(pairs)?;
+    let (similarity, _) = Similarity::of_cameras(pairs)?;
     let centers = pairs.iter().map(|(_, truth)| truth.pose.translation);
     let (low, high) = (centers.clone().reduce(|a, b| a.min(b))?, centers.reduce(|a, b| a.max(b))?);
     let error = |(found, truth): &(Camera, Camera)| {

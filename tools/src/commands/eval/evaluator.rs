@@ -191,9 +191,10 @@ impl<'a> Evaluator<'a> {
         let model = self.model.as_ref().expect("it was loaded");
         let images = capture.images();
         let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
-        let request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
+        let mut request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
+        let blocks = eval.blocks.choose(model, images.len(), self.seeing.size, &mut request, |_, _| Ok(1.0))?;
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
-        let ((result, tokens), took) = session.reconstruct(model, &images, &request, of_tokens)?;
+        let ((result, tokens), took) = session.reconstruct(model, (&images, &blocks), &request, of_tokens)?;
         let mut scene = result.to_scene()?;
         quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
@@ -223,7 +224,7 @@ impl<'a> Evaluator<'a> {
             }
             _ => self.renderer.set_scene(&scene)?,
         }
-        let all_tokens = model.shape(&images, &request)?.grid.tokens();
+        let all_tokens = quality.shape(model.architecture(), 1, self.seeing.size, false)?.grid.tokens() * images.len();
         let (tokens, peak_bytes, stages) = (result.tokens, result.peak_bytes, result.times.clone());
         let network = Some(Network { tokens, all_tokens, peak_bytes, took, stages });
         Ok(Reconstruction { scene, network, refined, started })
@@ -258,7 +259,7 @@ fn refine(
     let (settings, files, frames) = (&eval.refine.settings, choice.inputs(), choice.input_frames());
     let known = settings.known_depth(session, (&files, &frames), &cameras, capture.scene_scale.length)?;
     let kind = known.as_ref().map(|known| known.kind);
-    let mut request = settings.request(steps, eval.external.input.antialiased, kind);
+    let mut request = settings.request(steps, eval.external.input.antialiased, kind, &files);
     if eval.series.protocol.is_some() && steps.tokens {
         // As in the paper's tables.
         request.holdout_views = request.holdout_views.or(Some(0));

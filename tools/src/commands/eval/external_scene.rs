@@ -206,7 +206,7 @@ pub fn aligned(external: &Capture, frames: &[&CaptureView]) -> Result<(Similarit
         let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
         pairs.extend(external.frame_of(photo)?.map(|other| (other.camera, frame.camera)));
     }
-    Similarity::between(&pairs).ok_or_else(|| {
+    Similarity::of_cameras(&pairs).ok_or_else(|| {
         let found = format!("{} of the {} input photos, of which no length follows", pairs.len(), frames.len());
         let expected = "at least 2 input photos, by file name, taken at different places as in the capture";
         Error::argument("--scene-cameras", found, expected)

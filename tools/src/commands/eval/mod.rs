@@ -11,6 +11,7 @@ mod series;
 
 use crate::{
     align::Method,
+    blocks::BlockArgs,
     cameras::{Finding, KnownCameras},
     capture::Choice,
     metrics::LpipsOption,
@@ -25,7 +26,7 @@ use crate::{
 use clap::{Arg, Args, ValueEnum};
 use images::ImageSets;
 use std::{path::PathBuf, str::FromStr};
-use zipsplat::{Result, reconstruct::Shape, refine::RefineLength, weights::Checkpoint};
+use zipsplat::{Result, refine::RefineLength, weights::Checkpoint};
 
 /// Default number of input photos.
 const VIEWS: u32 = 8;
@@ -103,6 +104,8 @@ pub struct Eval {
     weights: Weights,
     #[command(flatten)]
     quality: Quality,
+    #[command(flatten)]
+    blocks: BlockArgs,
     #[command(flatten)]
     crop: CropOption,
     /// Compare whole photos, at the scale of --input-size, even if the network sees only their
@@ -259,10 +262,9 @@ impl Eval {
     }
 
     fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
-        let (Size(width, height), views) = (seeing.size, seeing.crop.count(&choice.inputs(), &choice.input_frames())?);
-        let chosen = (self.quality.ratio, &self.quality.token_selection);
-        let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?;
-        shape.pooled(self.quality.kv_pool).map(drop)
+        let views = seeing.crop.count(&choice.inputs(), &choice.input_frames())?;
+        let shape = |views| self.quality.shape(checkpoint.architecture(), views, seeing.size, !self.pose_free);
+        self.blocks.check(views, shape)
     }
 
     fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<KnownCameras>> {

@@ -42,7 +42,7 @@ impl Reconstruct {
         let unposed = self.unposed();
         let (photos, mut frame_folder) = self.input.list(session, self.views, unposed, named_in)?;
         if self.finds(network) {
-            self.check_count(&photos)?;
+            self.check_count(&photos, network)?;
         }
         let (poses, found) = match (network, &self.cameras) {
             // One pass gives cameras and scene.
@@ -64,19 +64,16 @@ impl Reconstruct {
         }
         let views = self.views.filter(|_| unposed.is_none());
         let photos = photos::kept(session, photos, poses.as_ref(), views)?;
-        self.check_count(&photos)?;
+        self.check_count(&photos, network)?;
         self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
         Ok(Captured { photos, poses, frame_folder, found })
     }
 
-    /// The network has a limit; a refinement of points does without it.
-    fn check_count(&self, photos: &[PathBuf]) -> Result<()> {
-        let from_points = match self.refine.settings.init {
-            Some(init) => init == Initialization::Points,
-            None => self.weights.is_builtin(),
-        };
+    /// Depth Anything 3 and VGGT have a limit; a refinement of points does without them.
+    fn check_count(&self, photos: &[PathBuf], network: &Network) -> Result<()> {
+        let from_points = self.refine.settings.init == Some(Initialization::Points);
         let from_points = from_points && self.refine.steps().is_some_and(|steps| !steps.tokens);
-        if photos.len() > MAX_VIEWS && !from_points {
+        if photos.len() > MAX_VIEWS && matches!(network, Network::Pixels(_)) && !from_points {
             let expected = format!(
                 "1 to {MAX_VIEWS}; --views N takes N of them, evenly spread; --refine --init points takes any number"
             );

@@ -1,5 +1,6 @@
 use super::{Posed, Reconstruct, placed::Placed};
 use crate::{
+    blocks,
     explain::Explanation,
     options::Size,
     session::Session,
@@ -13,9 +14,9 @@ use zipsplat::{
     Result,
     gpu::{Arena, Device},
     ops::Precision,
-    reconstruct::{Model, Reconstruction, SceneTokens, Shape},
+    reconstruct::{Model, Reconstruction, SceneTokens},
     stages::render::DeviceScene,
-    types::{Scene, poses::SceneScale},
+    types::{Pose, Scene, poses::SceneScale},
     weights::Checkpoint,
 };
 
@@ -27,7 +28,6 @@ pub struct Planned<'a> {
     checkpoint: &'a Checkpoint,
     posed: Posed<'a>,
     size: Size,
-    shape: Shape,
 }
 
 pub struct Forward {
@@ -60,9 +60,8 @@ impl Forward {
         let (quality, crop) = (&command.quality, command.crop.crop);
         let size = quality.size_for(checkpoint);
         crop.check(size, poses.is_some())?;
-        let (views, chosen) = (crop.count(photos, frames)?, (quality.ratio, &quality.token_selection));
-        let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, poses.is_some())?;
-        let shape = shape.pooled(quality.kv_pool)?;
+        let shape = |views| quality.shape(checkpoint.architecture(), views, size, poses.is_some());
+        command.blocks.check(crop.count(photos, frames)?, shape)?;
         session.notes(quality.doubt_size(checkpoint));
         if command.weights.is_builtin() && poses.is_none() && command.cameras_out.is_some() {
             session.note(
@@ -75,7 +74,7 @@ impl Forward {
                  one photo, or cameras (--cameras colmap finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
             );
         }
-        Ok(Planned { command, checkpoint, posed, size, shape })
+        Ok(Planned { command, checkpoint, posed, size })
     }
 
     pub fn rate_summary(&self) -> String {
@@ -85,7 +84,7 @@ impl Forward {
 
 impl Planned<'_> {
     pub fn run(self, session: &mut Session<'_>, device: &Device) -> Result<Forward> {
-        let Self { command, checkpoint, posed: Posed { photos, poses, frames }, size, shape } = self;
+        let Self { command, checkpoint, posed: Posed { photos, poses, frames }, size } = self;
         let (quality, crop) = (&command.quality, command.crop.crop);
         let (precision, arithmetic) = quality.arithmetic.choose(session, device)?;
         let masks = command.finding.masks();
@@ -101,9 +100,16 @@ impl Planned<'_> {
         let (cameras, turned) = crop.network_cameras(cameras);
         let (model, load_weights) = session.load_model(device, checkpoint, arithmetic)?;
         let length = scene_scale.as_ref().map_or(1.0, |scene_scale| scene_scale.length);
-        let request = quality.request(cameras, length);
+        let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
+        let world = turned.map_or(world, |first| world.compose(&first));
+        let mut request = quality.request(cameras, length);
+        let blocks = command.blocks.choose(&model, images.len(), size, &mut request, |cameras, pose| match poses {
+            Some(poses) => Ok(poses.scene_scale(command.scene_scale, cameras, &world.compose(pose))?.length),
+            None => Ok(length),
+        })?;
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
-        let ((result, tokens), _) = session.reconstruct(&model, &images, &request, moves_tokens)?;
+        let ((result, tokens), _) = session.reconstruct(&model, (&images, &blocks), &request, moves_tokens)?;
+        session.notes(blocks::doubt(&result.seams));
         let mut scene = result.to_scene()?;
         let asked = command.cameras_out.is_some() && poses.is_none();
         let found =
@@ -114,14 +120,17 @@ impl Planned<'_> {
         let as_made = turned.is_none() && result.gaussians.len() == scene.len();
         let each = result.gaussians.len() / result.tokens;
         let rate = rate(checkpoint.bytes(), load_weights);
-        let summary = summary(&result, shape.grid.tokens(), each, precision, scene_scale.as_ref(), found.as_ref());
+        let all = quality.shape(checkpoint.architecture(), 1, size, false)?.grid.tokens() * images.len();
+        let mut summary = summary(&result, all, each, precision, scene_scale.as_ref(), found.as_ref());
+        summary.extend(blocks::summary(&blocks, &result.seams).map(|summary| summary + "\n"));
         let json = vec![
             ("weights", json!(checkpoint.provenance())),
             ("views", json!(images.len())),
+            ("blocks", blocks::as_json(&blocks, &result.seams)),
             ("width", json!(size.0)),
             ("height", json!(size.1)),
             ("tokens", json!(result.tokens)),
-            ("all_tokens", json!(shape.grid.tokens())),
+            ("all_tokens", json!(all)),
             ("unmasked_tokens", json!(result.unmasked.as_ref().map(Vec::len))),
             ("scene_scale", json!(length)),
             ("scene_scale_source", json!(scene_scale.as_ref().map(|scene_scale| &scene_scale.source))),

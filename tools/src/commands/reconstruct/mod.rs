@@ -10,6 +10,7 @@ mod world;
 use super::render::Render;
 use crate::{
     antialiasing::Antialiasing,
+    blocks::BlockArgs,
     cameras::{Finding, KnownCameras, Place},
     options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
@@ -71,7 +72,7 @@ const REFINEMENT: &str = "Refinement";
   zipsplat reconstruct captures/ --each --ratio auto --format spz -o scenes/
   zipsplat reconstruct --dry-run --weights seeded:vitg --views 24 --ratio auto
 
-At most {MAX_VIEWS} photos, or any number to refine from the capture's points."))]
+Photos beyond {MAX_VIEWS} are reconstructed in overlapping blocks."))]
 pub struct Reconstruct {
     #[command(flatten)]
     input: PhotoArgs,
@@ -84,6 +85,8 @@ pub struct Reconstruct {
     weights: Weights,
     #[command(flatten, next_help_heading = NETWORK)]
     quality: Quality,
+    #[command(flatten, next_help_heading = NETWORK)]
+    blocks: BlockArgs,
     #[command(flatten, next_help_heading = NETWORK)]
     crop: CropOption,
     /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
@@ -233,7 +236,7 @@ impl Reconstruct {
             return Err(Error::Cancelled);
         }
         let (notes, write) = session.stage("write", |_| save())?;
-        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request));
+        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request, &made.refined));
         session.notes(notes);
         let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
         if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
@@ -313,7 +316,8 @@ impl Reconstruct {
         if let Some(RefinedScene { refined, started, cameras, request, .. }) = &refined {
             text += &format!("{}\n", refinement::summary(refined, started, cameras));
             if self.explain {
-                text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
+                text +=
+                    &format!("\n{}", refinement::explain(refined, (request, &self.refine.settings), started, &photos));
             }
             json["refined"] = refinement::as_json(refined, started, cameras);
         }

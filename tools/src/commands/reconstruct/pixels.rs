@@ -17,6 +17,8 @@ impl Reconstruct {
         let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
         for (option, given) in [
             ("--crop tiles", self.crop.crop == Crop::Tiles),
+            ("--block-size", self.blocks.block_size.is_some()),
+            ("--block-overlap", self.blocks.block_overlap.is_some()),
             ("--scene-scale", self.scene_scale.is_some()),
             ("--explain", self.explain),
             ("--refine-target tokens", tokens),

@@ -1,5 +1,6 @@
 use super::Reconstruct;
 use crate::{
+    blocks,
     depth::{DEPTH_WEIGHTS, square},
     options::{ArithmeticOption, Network as Weights, Quality, Size, refuse},
     photos,
@@ -14,7 +15,7 @@ use zipsplat::{
     depth::DepthNetwork,
     gpu::{Arena, ArenaRow, Limits, Plan},
     ops::{Arithmetic, Precision},
-    reconstruct::{Network, NetworkPlan, Shape},
+    reconstruct::{Network, NetworkPlan},
     refine::{Moved, RefinePlan, plan_refinement},
     stages::render::{RenderOptions, plan_pictures},
     weights::{Checkpoint, DepthCheckpoint},
@@ -55,22 +56,23 @@ fn show_tokens(
     quality.check(checkpoint.architecture())?;
     command.refine.check_target()?;
     let size = quality.size_for(checkpoint);
-    let Size(width, height) = size;
     let posed = command.cameras.is_some();
     crop.check(size, posed)?;
     let seen = if photos.is_empty() { views } else { crop.count(photos, &[])? };
-    let chosen = (quality.ratio, &quality.token_selection);
-    let shape = Shape::new(checkpoint.architecture(), seen, [width, height], chosen, posed)?;
-    let shape = shape.pooled(quality.kv_pool)?;
     let (limits, precision, arithmetic) = target(session, &quality.arithmetic)?;
     let network = Network::of(checkpoint, &limits, arithmetic)?;
+    let shape_of = |views: usize| quality.shape(checkpoint.architecture(), views, size, posed);
+    let blocks = network.block_layout(&limits, seen, command.blocks.options(), shape_of)?;
+    let shape = shape_of(blocks.size)?;
     let NetworkPlan { plan, tensors, layout } = network.plan(&limits, shape)?;
-    let pictures =
-        |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderOptions::default());
+    let (joined, joined_bytes) = blocks.scene(&limits, shape, *tensors.scene());
+    let pictures = |Size(width, height)| plan_pictures(&limits, &joined, [width, height], &RenderOptions::default());
     let pictures = command.picture_size()?.map(pictures).transpose()?;
     let refined = command.refine.steps().map(|steps| {
-        let (tensors, a) = (tensors.scene(), checkpoint.architecture());
-        let gaussians = Moved::Gaussians(tensors.len, tensors.sh_degree);
+        let a = checkpoint.architecture();
+        let gaussians = Moved::Gaussians(joined.len, joined.sh_degree);
+        let passes = if steps.tokens { blocks.count } else { 1 };
+        blocks::refuse_tokens(passes)?;
         let moved = if steps.tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
         plan_refinement(
             &limits,
@@ -84,7 +86,7 @@ fn show_tokens(
     let refined = refined.transpose()?;
     let kept = refined.as_ref().map_or(0, |refined| refined.kept_bytes);
 
-    let (weights, scene) = (network.weight_bytes(), layout.bytes());
+    let (weights, scene) = (network.weight_bytes(), layout.bytes() + joined_bytes);
     let of_pictures = pictures.as_ref().map_or(0, Plan::arena_bytes);
     let of_refinement = refined.iter().flat_map(|refined| &refined.plans);
     let first_lane = Arena::lane_bytes([&plan].into_iter().chain(&pictures).chain(of_refinement));
@@ -93,8 +95,12 @@ fn show_tokens(
     let own = refined.as_ref().map_or(0, RefinePlan::arena_bytes);
     let separate = weights + scene + kept + plan.arena_bytes() + own + Arena::LANES as u64 * of_pictures;
     let rows = plan.arena_map();
+    let (commands, flops) = (blocks.count * plan.len(), blocks.count as u64 * plan.flops());
+    let all = seen * shape.grid.patches();
+    let tokens = all.min(blocks.count * shape.tokens);
     let json = json!({
-        "device": limits.name, "views": views, "tokens": shape.tokens, "commands": plan.len(), "flops": plan.flops(),
+        "device": limits.name, "views": views, "tokens": tokens, "commands": commands, "flops": flops,
+        "blocks": blocks::plan_as_json(&blocks),
         "precision": precision.name(), "peak_bytes": weights + scene + arena + kept, "weight_bytes": weights,
         "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own),
         "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
@@ -103,14 +109,15 @@ fn show_tokens(
     let mut text = format!(
         "{} of {size}, {} of {}, {} precision, on {}: {} at most\n",
         counted(views, "view"),
-        HumanCount(shape.tokens as u64),
-        counted(shape.grid.tokens(), "token"),
+        HumanCount(tokens as u64),
+        counted(all, "token"),
         precision.name(),
         device_name(&limits),
         bytes(weights + scene + arena + kept)
     );
+    text += &blocks::plan_summary(&blocks).map_or(String::new(), |summary| format!("{summary}, a pass each\n"));
     text += &format!(
-        "weights {}, Gaussians {}, arena {}{}; {} commands, {:.1} GFLOP\n\n{table}",
+        "weights {}, Gaussians {}, arena {}{}; {commands} commands, {:.1} GFLOP\n\n{table}",
         bytes(weights),
         bytes(scene),
         bytes(arena),
@@ -119,8 +126,7 @@ fn show_tokens(
         } else {
             String::new()
         },
-        plan.len(),
-        plan.flops() as f64 / 1e9
+        flops as f64 / 1e9
     );
     if refined.is_some() {
         text += &format!(

@@ -57,9 +57,10 @@ impl Reconstruct {
         let settings = &self.refine.settings;
         let known = settings.known_depth(session, (photos, frames), &cameras, 1.0)?;
         let checkpoint = Some(refinement::checkpoint(self.output(), photos, masks.as_ref(), known.as_ref())?);
+        let paths = photos;
         let photos = WithDepth(PhotoFiles::new(photos, frames, masks)?, known.as_ref());
         let depth = known.as_ref().map(|known| known.kind);
-        let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiased, depth) };
+        let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiased, depth, paths) };
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());

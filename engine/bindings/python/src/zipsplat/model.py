@@ -117,11 +117,13 @@ class Model(Owner):
         kv_pool: int = 1,
         input_size: Optional[tuple[int, int]] = None,
         keep_features: bool = False,
+        block_size: Optional[int] = None,
+        block_overlap: Optional[int] = None,
         masks: Optional[MasksLike] = None,
         invert_masks: bool = False,
         progress: Optional[ProgressFunction] = None,
     ) -> Reconstruction:
-        """Reconstructs a scene from 1 to 192 photos of one place.
+        """Reconstructs a scene from photos of one place.
 
         Args:
             images: A folder, a Capture, or a sequence of paths, encoded bytes, PIL images or arrays
@@ -143,6 +145,10 @@ class Model(Owner):
                 are center-cropped. None for the model's own.
             keep_features: Whether to keep the backbone's features on the device, for
                 Reconstruction.patch_tokens and Reconstruction.again.
+            block_size: Most photos of a pass, up to 192; None for as many as the device's memory
+                holds. More are split into overlapping blocks, by the cameras' positions or by order,
+                and joined in one world. Features and tokens are kept of one block only.
+            block_overlap: Photos that neighboring blocks share; None for a quarter of the block.
             masks: Pixels to ignore, where they are 0: a folder of PNGs of the photos' sizes and names
                 (1.png or 1.jpg.png for 1.jpg), "alpha" for the photos' alpha channels, or an array
                 [height, width] per image.
@@ -170,6 +176,8 @@ class Model(Owner):
             input_size=(0, 0) if input_size is None else [positive("input_size", side) for side in input_size],
             kv_pool=positive("kv_pool", kv_pool),
             keep_features=keep_features,
+            block_size=0 if block_size is None else positive("block_size", block_size),
+            block_overlap=0 if block_overlap is None else positive("block_overlap", block_overlap),
             cameras=known,
             camera_count=len(known),
             capture=ffi.NULL if capture is None else capture._handle.pointer,

@@ -1,7 +1,8 @@
 //! Networks that make a capture's scene; one stays on the device.
 
-use super::Batch;
+use super::{Batch, Reconstruct};
 use crate::{
+    blocks,
     depth::{DEPTH_WEIGHTS, DepthPredictor, PreparedPhotos, check_finds_cameras},
     options::{Size, refuse},
     outputs, photos,
@@ -12,19 +13,28 @@ use serde_json::{Value, json};
 use std::path::PathBuf;
 use zipsplat::{
     Result,
-    reconstruct::Model,
+    gpu::Progress,
+    reconstruct::{Block, MAX_VIEWS, Model, ReconstructOptions},
     types::{
-        Masks, Pose, Scene, World,
+        Camera, Image, Masks, Pose, Scene, World,
         poses::{Capture, CaptureView},
     },
     weights::{Checkpoint, DepthCheckpoint},
 };
 
 pub enum Input {
-    /// With the length that is 1 for the network.
-    Tokens(Views, f64),
+    Tokens(Box<TokenInput>),
     /// With the cameras' points file.
     Pixels(PreparedPhotos, Option<PathBuf>),
+}
+
+pub struct TokenInput {
+    images: Vec<Image>,
+    request: ReconstructOptions,
+    blocks: Vec<Block>,
+    /// Pose of the first camera, see [`Crop::network_cameras`].
+    turned: Option<Pose>,
+    note: Option<String>,
 }
 
 pub enum Maker<'a> {
@@ -81,6 +91,11 @@ impl<'a> Maker<'a> {
         Ok((Self::Pixels(Box::new(predictor)), settings_key))
     }
 
+    /// Returns true if the network takes this number of photos, in any number of passes.
+    pub fn takes(&self, photos: usize) -> bool {
+        photos > 0 && (photos <= MAX_VIEWS || matches!(self, Self::Tokens { .. }))
+    }
+
     pub fn prepare(
         &self,
         batch: &Batch<'_>,
@@ -91,18 +106,24 @@ impl<'a> Maker<'a> {
         stage: &Stage<'_>,
     ) -> Result<Input> {
         match self {
-            Self::Tokens { size, .. } => {
+            Self::Tokens { size, model, .. } => {
                 let crop = batch.crop();
-                crop.count(photos, frames)?;
-                let mut views = crop.load(photos, frames, masks, *size, stage)?;
-                let notes: Vec<String> =
-                    poses.iter().flat_map(|poses| &poses.warnings).cloned().chain(views.note.take()).collect();
-                views.note = (!notes.is_empty()).then(|| notes.join("; "));
-                let unit = match (poses, frames.first()) {
-                    (Some(poses), Some(first)) => poses.scene_scale(None, &views.cameras, &first.camera.pose)?.length,
-                    _ => 1.0,
+                let Views { images, cameras, note } = crop.load(photos, frames, masks, *size, stage)?;
+                let notes: Vec<String> = poses.iter().flat_map(|poses| &poses.warnings).cloned().chain(note).collect();
+                let note = (!notes.is_empty()).then(|| notes.join("; "));
+                let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
+                let scale = |cameras: &[Camera], pose: &Pose| match poses {
+                    Some(poses) => Ok(poses.scene_scale(None, cameras, &world.compose(pose))?.length),
+                    None => Ok(1.0),
                 };
-                Ok(Input::Tokens(views, unit))
+                let unit = scale(&cameras, &Pose::IDENTITY)?;
+                let (cameras, turned) = crop.network_cameras(cameras);
+                let Reconstruct { quality, blocks, .. } = batch.command;
+                let mut request = quality.request(cameras, unit);
+                let first = turned.unwrap_or(Pose::IDENTITY);
+                let scale = |cameras: &[Camera], pose: &Pose| scale(cameras, &first.compose(pose));
+                let blocks = blocks.choose(model, images.len(), *size, &mut request, scale)?;
+                Ok(Input::Tokens(Box::new(TokenInput { images, request, blocks, turned, note })))
             }
             Self::Pixels(predictor) => {
                 let points = poses.and_then(|poses| poses.points.clone());
@@ -113,14 +134,18 @@ impl<'a> Maker<'a> {
 
     pub fn make(&self, batch: &Batch<'_>, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
         match (input, self) {
-            (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
-                let (cameras, turned) = batch.crop().network_cameras(cameras);
-                let request = batch.command.quality.request(cameras, unit);
-                let made = model.reconstruct_views(&images, &request, |progress| stage.at(progress.fraction))?;
+            (Input::Tokens(input), Self::Tokens { model, checkpoint, .. }) => {
+                let TokenInput { images, request, blocks, turned, note } = *input;
+                let follow = |progress: Progress<'_>| stage.at(progress.fraction);
+                let made = model.reconstruct_blocks(&images, &request, &blocks, follow)?;
                 let mut scene = made.to_scene()?;
                 batch.command.quality.prune(&mut scene, checkpoint.architecture());
                 turned.iter().for_each(|first| scene.place(1.0, first));
-                let record = json!({ "scene_scale": unit, "tokens": made.tokens, "note": note });
+                let note = note.into_iter().chain(blocks::doubt(&made.seams)).reduce(|all, next| all + "; " + &next);
+                let record = json!({
+                    "scene_scale": request.scene_scale, "tokens": made.tokens, "note": note,
+                    "blocks": blocks::as_json(&blocks, &made.seams),
+                });
                 Ok(FinishedScene { scene, world: None, record })
             }
             (Input::Pixels(prepared, points), Self::Pixels(predictor)) => {

@@ -179,11 +179,11 @@ impl<'a> Batch<'a> {
 
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = hash_of_weights(Path::new(weights))?;
-        let Reconstruct { quality, views, format, .. } = self.command;
+        let Reconstruct { quality, views, format, blocks, .. } = self.command;
         let Quality { ratio, token_selection, kv_pool, .. } = quality;
         let options = [
             format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", quality.kept(), self.crop()),
-            format!("{size} {precision} {} {views:?} {format}", self.posed),
+            format!("{size} {precision} {} {views:?} {format} {:?}", self.posed, blocks.options()),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
     }
@@ -261,7 +261,7 @@ impl Runner<'_> {
                 photos
             }
         };
-        if !(1..=MAX_VIEWS).contains(&photos.len()) {
+        if !self.maker.takes(photos.len()) {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument(format!("photos in {}", work.folder.display()), photos.len(), expected));
         }
