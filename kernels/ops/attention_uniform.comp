@@ -41,8 +41,6 @@ layout(push_constant) uniform Push {
     uvec2 v_address;
 };
 
-// Channels accumulated in registers at once.
-const uint TOGETHER = 2;
 const uint PANEL = KEY_VECTORS * gl_WorkGroupSize.x;
 
 // Running maximum, the lane's sum of weights, and weighted sum of values of each query.
@@ -101,13 +99,14 @@ void softmax(uint count) {
     }
 }
 
+// Accumulates KEY_VECTORS channels in registers at once: as many sums as scores.
 void gather(uint64_t v_at, uint count) {
-    [[unroll]] for (uint first = 0; first < VECTORS; first += TOGETHER) {
+    [[unroll]] for (uint first = 0; first < VECTORS; first += KEY_VECTORS) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
             [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {
                 // Padding has weight 0.
                 uint key = min(n * gl_WorkGroupSize.x + i, count - 1);
-                [[unroll]] for (uint c = first; c < min(first + TOGETHER, VECTORS); c++) {
+                [[unroll]] for (uint c = first; c < min(first + KEY_VECTORS, VECTORS); c++) {
                     float value = vector_at(v_at, key * DIM + c * gl_WorkGroupSize.x);
                     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) sum[r][c] += subgroupBroadcast(weight[r][n], i) * value;
                 }

@@ -2,7 +2,7 @@ use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
     rows::row_subgroups,
     tile::choose,
-    uniform::{UNIFORM_TILE, terms_of},
+    uniform::{attention_tile, terms_of},
 };
 use crate::{
     gpu::{Element, Kernel, Limits, Recorder, Tensor},
@@ -179,14 +179,14 @@ impl Attention {
 
     fn panel(&self, limits: &Limits) -> usize {
         if self.is_uniform(limits) {
-            (UNIFORM_TILE[1] * limits.subgroup_size) as usize
+            (attention_tile(limits)[1] * limits.subgroup_size) as usize
         } else {
             self.keys.next_multiple_of(4)
         }
     }
 
     fn is_uniform(&self, limits: &Limits) -> bool {
-        let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
+        let [queries, lanes] = [attention_tile(limits)[0], limits.subgroup_size].map(|n| n as usize);
         limits.addresses
             && self.kernel.element() == Element::F32
             && self.heads.dim.is_multiple_of(lanes)
@@ -194,7 +194,7 @@ impl Attention {
     }
 
     fn uniform(&self, rec: &mut Recorder, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
-        let (dim, [tile_rows, key_vectors]) = (self.heads.dim as u32, UNIFORM_TILE);
+        let (dim, [tile_rows, key_vectors]) = (self.heads.dim as u32, attention_tile(rec.limits()));
         let kernel = ops::AttentionUniform {
             q,
             k,
