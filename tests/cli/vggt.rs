@@ -45,6 +45,9 @@ fn vggts_point_head_gives_the_points() {
     let (rows, _) = points.data().as_chunks::<12>();
     let bytes_of = |point: &[f32; 3]| point.map(f32::to_le_bytes).concat();
     assert!(cloud.positions.iter().all(|point| rows.iter().any(|row| row[..] == bytes_of(point)[..])));
+    folder.run("convert @/vggt.safetensors @/copy.safetensors").success();
+    folder.run(&format!("depth @/photos --weights @/copy.safetensors {options} --overwrite")).success();
+    assert!(folder.read("depth/depths.safetensors") == bytes, "points of converted weights");
     let refused = folder.run(&format!("depth @/photos --weights @/da3.safetensors {options} --overwrite"));
     refused.fails(3, &["network for points", "da3-micro", "VGGT"]);
 }

@@ -209,6 +209,11 @@ pub fn open_whole_depth(text: &str) -> Result<DepthCheckpoint> {
     DepthCheckpoint::whole(opener(text)?)
 }
 
+/// Opens a depth network with all of its heads.
+pub fn open_complete_depth(text: &str) -> Result<DepthCheckpoint> {
+    DepthCheckpoint::with_all(opener(text)?)
+}
+
 fn opener(text: &str) -> Result<impl Fn(DepthHeads) -> Result<DepthCheckpoint>> {
     if Released::named(text).is_some_and(|released| released.kind != Kind::Depth) {
         let names = RELEASED.iter().filter(|released| released.kind == Kind::Depth).map(|released| released.name);

@@ -11,6 +11,7 @@ const BACKBONE: &str = "model.backbone.pretrained";
 /// Of VGGT.
 const AGGREGATOR: &str = "aggregator.";
 const GAUSSIANS: &str = "model.gs_head.";
+const POINTS: &str = "point_head.";
 
 /// Optional heads of a depth network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -26,7 +27,8 @@ pub struct DepthHeads {
 pub struct DepthCheckpoint {
     architecture: DepthArchitecture,
     values: Values,
-    of_gaussians: bool,
+    /// Heads of the file.
+    heads: DepthHeads,
 }
 
 impl Deref for DepthCheckpoint {
@@ -53,8 +55,13 @@ impl DepthCheckpoint {
 
     /// Opens with the Gaussian head, if there is one.
     pub fn whole(open: impl Fn(DepthHeads) -> Result<Self>) -> Result<Self> {
+        Self::with_all(|heads| open(DepthHeads { points: false, ..heads }))
+    }
+
+    /// Opens with all heads that there are.
+    pub fn with_all(open: impl Fn(DepthHeads) -> Result<Self>) -> Result<Self> {
         let found = open(DepthHeads::default())?;
-        if found.of_gaussians { open(DepthHeads { gaussians: true, points: false }) } else { Ok(found) }
+        if found.heads == DepthHeads::default() { Ok(found) } else { open(found.heads) }
     }
 
     /// Opens `seeded:NAME` or a path.
@@ -62,8 +69,8 @@ impl DepthCheckpoint {
         match text.strip_prefix("seeded:") {
             Some(name) => {
                 let known = DepthArchitecture::named(name)?;
-                let of_gaussians = known.gaussians;
-                Ok(Self { of_gaussians, ..Self::seeded(with_heads(known, heads)?, name)? })
+                let all = DepthHeads { gaussians: known.gaussians, points: known.points };
+                Ok(Self { heads: all, ..Self::seeded(with_heads(known, heads)?, name)? })
             }
             None => Self::open(text, heads),
         }
@@ -97,17 +104,19 @@ impl DepthCheckpoint {
         architecture.validate()?;
         let provenance = format!("seeded:{key}");
         let values = Values::seeded(&architecture.name, architecture.parameters(), key, provenance);
-        Ok(Self { of_gaussians: architecture.gaussians, architecture, values })
+        let heads = DepthHeads { gaussians: architecture.gaussians, points: architecture.points };
+        Ok(Self { heads, architecture, values })
     }
 
     fn of(path: &Path, file: Bytes, mut contents: Contents, architecture: DepthArchitecture) -> Result<Self> {
         architecture.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
         let parameters = architecture.parameters();
-        let of_gaussians = contents.tensors.keys().any(|name| name.starts_with(GAUSSIANS));
+        let has = |head: &str| contents.tensors.keys().any(|name| name.starts_with(head));
+        let heads = DepthHeads { gaussians: has(GAUSSIANS), points: has(POINTS) };
         let wanted = |name: &str| parameters.iter().any(|(other, _)| other == name);
         contents.tensors.retain(|name, _| wanted(name) || !is_unused(name));
         let values = Values::in_file(path, file, &architecture.name, parameters, contents)?;
-        Ok(Self { architecture, values, of_gaussians })
+        Ok(Self { architecture, values, heads })
     }
 
     pub fn architecture(&self) -> &DepthArchitecture {
@@ -146,7 +155,7 @@ fn is_unused(name: &str) -> bool {
         "model.head.scratch.output_conv1_aux.",
         "model.head.scratch.output_conv2_aux.",
         "aggregator.patch_embed.mask_token",
-        "point_head.",
+        POINTS,
         "track_head.",
     ];
     tails.iter().any(|tail| name.starts_with(tail))

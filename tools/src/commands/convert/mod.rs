@@ -4,7 +4,7 @@ use crate::{
     depth::DEPTH_WEIGHTS,
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
     outputs::{self, Overwrite, size_of},
-    released::{is_of_depth, open_whole_depth},
+    released::{is_of_depth, open_complete_depth},
     session::Session,
     table::{bytes, counted},
 };
@@ -85,7 +85,7 @@ impl Convert {
         }
         self.scene_input.refuse("a checkpoint", "a scene")?;
         if is_of_depth(&self.input) {
-            return summary::depth_checkpoint(session, &open_whole_depth(&self.input)?);
+            return summary::depth_checkpoint(session, &open_complete_depth(&self.input)?);
         }
         let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
         summary::checkpoint(session, &open_checkpoint(&self.input, self.variant.as_deref(), &expected)?)
@@ -124,7 +124,7 @@ impl Convert {
 
     fn depth_checkpoint(&self, session: &mut Session<'_>, output: &Path, dtype: Dtype) -> Result<()> {
         refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
-        let checkpoint = open_whole_depth(&self.input)?;
+        let checkpoint = open_complete_depth(&self.input)?;
         session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
         let architecture = checkpoint.architecture();
         report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
