@@ -350,6 +350,10 @@ impl Size {
     pub fn or_best(asked: Option<Self>, checkpoint: &Checkpoint) -> Self {
         asked.unwrap_or(Self(checkpoint.image_size(), checkpoint.image_size()))
     }
+
+    pub fn patches(self, side: usize) -> usize {
+        (self.0 as usize / side) * (self.1 as usize / side)
+    }
 }
 
 impl FromStr for Size {

@@ -224,7 +224,7 @@ impl<'a> Evaluator<'a> {
             }
             _ => self.renderer.set_scene(&scene)?,
         }
-        let all_tokens = quality.shape(model.architecture(), 1, self.seeing.size, false)?.grid.tokens() * images.len();
+        let all_tokens = images.len() * self.seeing.size.patches(model.architecture().patch_size);
         let (tokens, peak_bytes, stages) = (result.tokens, result.peak_bytes, result.times.clone());
         let network = Some(Network { tokens, all_tokens, peak_bytes, took, stages });
         Ok(Reconstruction { scene, network, refined, started })

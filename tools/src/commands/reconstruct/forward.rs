@@ -120,7 +120,7 @@ impl Planned<'_> {
         let as_made = turned.is_none() && result.gaussians.len() == scene.len();
         let each = result.gaussians.len() / result.tokens;
         let rate = rate(checkpoint.bytes(), load_weights);
-        let all = quality.shape(checkpoint.architecture(), 1, size, false)?.grid.tokens() * images.len();
+        let all = images.len() * size.patches(checkpoint.architecture().patch_size);
         let mut summary = summary(&result, all, each, precision, scene_scale.as_ref(), found.as_ref());
         summary.extend(blocks::summary(&blocks, &result.seams).map(|summary| summary + "\n"));
         let json = vec![
