@@ -21,8 +21,8 @@ def table(head, rows):
     return "\n".join(lines) if rows else ""
 
 
-def share(part):
-    return "" if part is None else f" ({part:.0%})"
+def percent(part):
+    return "" if part is None else f"{part:.0%}"
 
 
 def forward(rows):
@@ -32,9 +32,9 @@ def forward(rows):
         system = row["stage"]
         if system and not system.startswith("PyTorch"):
             continue
-        rate = [f"{row['gflop'] / 1000:.3g} TFLOP", share(row["peak_share"])[2:-1]]
-        told = [str(row["views"]), f"{row['tokens']:,}", str(row["pool"]), system or row["precision"]]
-        cells.append([*told, f"{row['ms']['median']:.1f} ms", *rate, f"{row['peak_bytes'] / 2**30:.2f} GiB"])
+        case = [str(row["views"]), f"{row['tokens']:,}", str(row["pool"]), system or row["precision"]]
+        rate = [f"{row['gflop'] / 1000:.3g} TFLOP", percent(row["peak_share"])]
+        cells.append([*case, f"{row['ms']['median']:.1f} ms", *rate, f"{row['peak_bytes'] / 2**30:.2f} GiB"])
     return table(head, cells)
 
 
@@ -42,10 +42,10 @@ def renders(rows):
     rows = [row for row in rows if row["what"] == "device" or row["what"].startswith("gsplat")]
     cells = [
         [row["what"], f"{row['gaussians']:,}", f"{row['width']} x {row['height']}",
-         f"{row['ms']['median']:.2f} ms{share(row['bandwidth_share'])}"]
+         f"{row['ms']['median']:.2f} ms", percent(row["bandwidth_share"])]
         for row in rows
     ]
-    return table(["renderer", "Gaussians", "pixels", "picture (share of copy bandwidth)"], cells)
+    return table(["renderer", "Gaussians", "pixels", "time", "share of copy bandwidth"], cells)
 
 
 def refinement(rows):

@@ -1,7 +1,7 @@
 //! Captures: photos with cameras, split into inputs and targets.
 
 use crate::{
-    metrics::{self, mean_color, median, psnr, values},
+    metrics::{self, mean_color, psnr, values},
     photos,
     refinement::placed,
     session::Stage,
@@ -20,7 +20,7 @@ use zipsplat::{
     perceptual::Perceptual,
     stages::render::{RenderOptions, Renderer},
     types::{
-        Camera, ColorTransform, Image, Masks, PointCloud, Pose, Scene,
+        Camera, ColorTransform, Image, Masks, PointCloud, Pose, Scene, median,
         poses::{Capture, CaptureView, SceneScale, Source, read_cloud},
         resample::resize_lanczos,
     },

@@ -52,9 +52,9 @@ enum Source {
 }
 
 impl KnownDepth {
-    /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights of
-    /// a depth network that predicts it. `cameras` are those of the refinement's photos, in a scene
-    /// whose unit has the length `unit`.
+    /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights
+    /// of a depth network that predicts it. `cameras` are those of the refinement's photos, in a
+    /// scene whose unit has the length `unit`.
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,

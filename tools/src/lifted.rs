@@ -115,8 +115,8 @@ fn standardize(views: &mut [PixelValues]) {
     }
 }
 
-/// Returns a network's patch tokens, standardized by channel, of at most `views` photos, evenly
-/// spaced, and the cameras of what it sees of them.
+/// Returns a network's patch tokens of at most `views` evenly spaced photos, standardized by
+/// channel, and the cameras of the cropped photos.
 pub fn of_network(
     session: &mut Session<'_>,
     weights: &Weights,

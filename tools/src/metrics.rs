@@ -25,13 +25,6 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     -10.0 * (squares / a.len() as f64).log10()
 }
 
-/// Of an even number the upper one; `None` without values.
-pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.into_iter().collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
-}
-
 pub fn mean_color(picture: &[f32]) -> Vec<f32> {
     let mut sums = [0.0; 3];
     picture.iter().enumerate().for_each(|(i, value)| sums[i % 3] += f64::from(*value));

@@ -70,8 +70,8 @@ pub fn refuse(photos: &[PathBuf]) -> Result<()> {
     })
 }
 
-/// Writes the pinhole views of 360-degree photos, such as `pano-0.jpg` to `pano-7.jpg`, and lists
-/// them in place of the photos. Masks are cut alike.
+/// Writes the pinhole views of 360-degree photos, such as `pano-0.jpg` to `pano-7.jpg`, and of
+/// their masks. Lists the views instead of the photos.
 pub fn cut(
     session: &mut Session<'_>,
     photos: &[PathBuf],

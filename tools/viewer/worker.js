@@ -142,8 +142,8 @@ function object(scene, { seeds, least }) {
     return marks;
 }
 
-// Whether a volume has a Gaussian: an object by its seeds; a box, or an ellipsoid if `round`, by its
-// center and half its size.
+// Whether a volume has a Gaussian: an object by its seeds; a box, or an ellipsoid if `round`, by
+// its center and half its size.
 function within(scene, volume) {
     const { means } = scene, { center, half, round } = volume, marks = volume.seeds && (scene.marks = object(scene, volume));
     return marks ? i => marks[i] === 1 : i => {

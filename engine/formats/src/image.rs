@@ -137,6 +137,9 @@ impl Image {
 
     /// Converts `[height][width][rgb]` floats: clamps to 0..1, multiplies by 255 and truncates, as
     /// the reference's viewer. NaN becomes 0.
+    ///
+    /// # Errors
+    /// As [`Image::new`].
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
     }

@@ -125,10 +125,10 @@ impl Lens {
 
     /// Returns the pinhole views of the photo. The first looks along the axis.
     ///
-    /// Up to [`MAX_VIEW_DEG`] across and down, that is one view of the photo's size: the widest that
-    /// the photo fills, with its principal point, and with both focal lengths scaled by one zoom. So
-    /// are perspective lenses without a denominator, which are nearly pinholes, of any width.
-    /// Photos of wider lenses are cut into overlapping squares of [`CUT_VIEW_DEG`].
+    /// Lenses of up to [`MAX_VIEW_DEG`] across and down, and perspective lenses without a
+    /// denominator, which are nearly pinholes, have one view of the photo's size: the widest that
+    /// the photo fills, with its principal point and both focal lengths scaled alike. Photos of
+    /// wider lenses are cut into overlapping squares of [`CUT_VIEW_DEG`].
     ///
     /// # Errors
     /// [`Error::Argument`] with `name` for coefficients without such a camera.
@@ -139,6 +139,9 @@ impl Lens {
     }
 
     /// Returns the pinhole camera of the shown view.
+    ///
+    /// # Errors
+    /// As [`Lens::views`].
     pub fn pinhole(&self, name: &str) -> Result<Intrinsics> {
         Ok(self.views(name)?[0].intrinsics)
     }
@@ -192,6 +195,9 @@ impl Lens {
 
     /// Returns the place in a photo of this size of each row and column of the shown view's
     /// picture: NaN outside a cut photo.
+    ///
+    /// # Errors
+    /// As [`Lens::views`].
     pub fn places(&self, photo: [u32; 2]) -> Result<impl Fn(usize, usize) -> (f64, f64) + Sync> {
         let views = self.views("photo")?;
         let LensView { intrinsics, rotation } = views[self.view.min(views.len() - 1)];

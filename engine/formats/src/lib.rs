@@ -15,6 +15,7 @@ mod gltf;
 mod image;
 mod lens;
 mod mask;
+mod median;
 mod ply;
 mod points;
 pub mod poses;
@@ -47,6 +48,7 @@ pub use format::SaveOptions;
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
 pub use lens::{CUT_VIEW_DEG, Distortion, Lens, LensView, MAX_VIEW_DEG};
 pub use mask::{MASKED, MaskSource, Masks, named_after};
+pub use median::median;
 pub use ply::{
     PlyProperty, PointCloud, read_ply, read_ply_property, read_points, write_ply, write_ply_with, write_points,
 };

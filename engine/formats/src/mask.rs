@@ -120,6 +120,9 @@ fn check_size(photo: &Path, size: (u32, u32), mask: &Path, found: (u32, u32)) ->
 
 impl Image {
     /// Adds a mask, `[height][width]`: pixels of 0 are ignored.
+    ///
+    /// # Errors
+    /// As [`Image::new`].
     pub fn with_mask(self, mask: Vec<u8>) -> Result<Self> {
         let image = Self { mask: Some(mask), ..self };
         image.validate()?;

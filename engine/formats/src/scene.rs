@@ -3,7 +3,7 @@ use std::path::Path;
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
-use super::{Pose, sh_rotation::sh_rotation};
+use super::{Pose, median, sh_rotation::sh_rotation};
 use crate::{Error, Result};
 
 /// Default near plane in world units, as in gsplat.
@@ -15,12 +15,6 @@ const SAMPLE: usize = 4096;
 pub fn near(extent: f64) -> f32 {
     // Clamped to f32's normal range.
     if extent < SMALL && extent > 0.0 { NEAR * extent.log2().floor().max(-100.0).exp2() as f32 } else { NEAR }
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// N 3D Gaussians. Reconstructions are in the first view's camera frame (OpenCV axes) until
@@ -68,10 +62,11 @@ impl Scene {
     pub fn extent(&self) -> f64 {
         let step = self.len().div_ceil(SAMPLE).max(1);
         let means: Vec<DVec3> = self.means.iter().step_by(step).map(|mean| DVec3::from(mean.map(f64::from))).collect();
-        let center = DVec3::from_array([0, 1, 2].map(|axis| median(means.iter().map(|mean| mean[axis]))));
-        let distance = median(means.iter().map(|mean| mean.distance(center)));
+        let center = [0, 1, 2].map(|axis| median(means.iter().map(|mean| mean[axis])).unwrap_or(0.0));
+        let center = DVec3::from_array(center);
+        let distance = median(means.iter().map(|mean| mean.distance(center))).filter(|distance| *distance > 0.0);
         let size = |scales: &[f32; 3]| f64::from(scales.iter().fold(0.0f32, |most, scale| most.max(*scale)));
-        if distance > 0.0 { distance } else { median(self.scales.iter().step_by(step).map(size)) }
+        distance.or_else(|| median(self.scales.iter().step_by(step).map(size))).unwrap_or(0.0)
     }
 
     /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1.

@@ -1,6 +1,6 @@
 //! Similarities between worlds, fitted to cameras or points.
 
-use super::{Camera, PointCloud, Pose};
+use super::{Camera, PointCloud, Pose, median};
 use glam::{DMat3, DQuat, DVec3, DVec4};
 use nalgebra::{Matrix3, Vector3};
 
@@ -77,11 +77,7 @@ impl Similarity {
         let mut found = Self::of_points(pairs, &vec![1.0; pairs.len()])?;
         for _ in 0..ROUNDS {
             let apart: Vec<f64> = pairs.iter().map(|[a, b]| found.point(*a).distance(*b)).collect();
-            let mut sorted = apart.clone();
-            let median = *sorted.select_nth_unstable_by(pairs.len() / 2, f64::total_cmp).1;
-            if median == 0.0 {
-                break;
-            }
+            let Some(median) = median(apart.iter().copied()).filter(|median| *median > 0.0) else { break };
             let weights: Vec<f64> = apart.iter().map(|apart| 1.0 / (1.0 + (apart / median).powi(2))).collect();
             found = Self::of_points(pairs, &weights)?;
         }

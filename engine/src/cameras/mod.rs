@@ -9,7 +9,7 @@ mod p3p;
 mod rays;
 
 pub use decoded::{camera_to_world, decoded_camera};
-pub(crate) use focal::share_focal_lengths;
+pub(crate) use focal::{FocalView, share_focal_lengths};
 pub use rays::RayMap;
 
 use crate::{

@@ -49,6 +49,9 @@ impl Default for DepthOptions {
 
 impl DepthModel {
     /// Loads a checkpoint's path, or `seeded:NAME` for random weights.
+    ///
+    /// # Errors
+    /// As [`DepthCheckpoint::open`]; [`crate::Error::Memory`].
     pub fn load(device: &Device, weights: &str) -> Result<Self> {
         let checkpoint = DepthCheckpoint::whole(|heads| DepthCheckpoint::parse(weights, heads))?;
         let KernelChoice { arithmetic, .. } = KernelChoice::of(device, None)?;

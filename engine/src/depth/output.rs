@@ -1,6 +1,6 @@
 use crate::{
     Error, Result,
-    cameras::{CameraEstimate, RayMap, camera_to_world, decoded_camera, share_focal_lengths},
+    cameras::{CameraEstimate, FocalView, RayMap, camera_to_world, decoded_camera, share_focal_lengths},
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
@@ -148,7 +148,8 @@ impl DepthPrediction {
         if let Some(lenses) = lenses {
             let views = found.iter_mut().zip(maps).zip(lenses).zip(&self.views);
             let posed = views.filter_map(|(((camera, map), lens), view)| {
-                Some((camera.as_mut().ok()?, map, *lens, view.mean_confidence()))
+                let camera = camera.as_mut().ok()?;
+                Some(FocalView { camera, map, lens: *lens, weight: view.mean_confidence() })
             });
             share_focal_lengths(posed.collect());
         }

@@ -106,6 +106,9 @@ impl FeatureRenderer {
     /// `values` returns those of a camera, of any size with the picture's shape, and is called
     /// once per part of the channels. Pixels with a NaN do not count. The same inputs give the
     /// same bits.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for invalid input, those of `values`, and [`Error::Memory`].
     pub fn lift(
         &mut self,
         scene: &Scene,
@@ -172,6 +175,9 @@ impl FeatureRenderer {
     }
 
     /// Draws features as pictures of the same channels, 0 where nothing is.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for invalid input, and [`Error::Memory`].
     pub fn draw(&mut self, scene: &Scene, features: &Features, cameras: &[Camera]) -> Result<Vec<PixelValues>> {
         features.validate(scene)?;
         check(cameras)?;

@@ -8,7 +8,7 @@ use crate::{
         ViewGrid,
         render::{SceneMemory, SceneTensors},
     },
-    types::{Camera, Image, Pose, Scene, Similarity, SkippedPass},
+    types::{Camera, Image, Pose, Scene, Similarity, SkippedPass, median},
 };
 use glam::DVec3;
 use std::{collections::HashMap, ops::ControlFlow};
@@ -119,9 +119,9 @@ impl BlockLayout {
         (scene, layout.bytes())
     }
 
-    /// Chooses the views of each block: by the positions of cameras a part with the nearest others,
-    /// or by order. With cameras, `scale` determines the scene scale of each of several blocks:
-    /// from the block's cameras, in the frame of its first, and that one's pose.
+    /// Chooses the views of each block by the positions of their cameras, or by order. With cameras
+    /// and several blocks, `scale` returns a block's scene scale from its cameras, in the frame of
+    /// the first, and the pose of the first.
     ///
     /// # Errors
     /// Those of `scale`.
@@ -256,8 +256,9 @@ impl Model {
 #[derive(Default)]
 struct Joined {
     scene: Scene,
-    /// Patches of the scene's tokens, and the means of these and of others' Gaussians.
+    /// Patches of the scene's tokens.
     kept: Vec<u32>,
+    /// Means of the Gaussians of all blocks' tokens, by patch.
     means: HashMap<u32, DVec3>,
     seams: Vec<Seam>,
     skipped_passes: Vec<SkippedPass>,
@@ -343,9 +344,6 @@ fn joining(shared: &[[DVec3; 2]], i: usize) -> Result<Similarity> {
 impl Seam {
     fn new(shared: &[[DVec3; 2]], onto: &Similarity) -> Self {
         let apart = |[a, b]: &[DVec3; 2]| onto.point(*a).distance(*b) / (onto.scale * a.length());
-        let mut errors: Vec<f64> = shared.iter().map(apart).collect();
-        let middle = errors.len() / 2;
-        let error = (!errors.is_empty()).then(|| *errors.select_nth_unstable_by(middle, f64::total_cmp).1);
-        Self { shared_patches: shared.len(), scale: onto.scale, error }
+        Self { shared_patches: shared.len(), scale: onto.scale, error: median(shared.iter().map(apart)) }
     }
 }

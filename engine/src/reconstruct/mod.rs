@@ -122,6 +122,9 @@ impl Reconstruction {
 
 impl Model {
     /// Loads `builtin`, a checkpoint's path, or `seeded:VARIANT` for random weights.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`]; [`Error::Memory`].
     pub fn load(device: &Device, weights: &str) -> Result<Self> {
         Self::load_with(device, weights, &ModelOptions::default(), |_| ControlFlow::Continue(()))
     }

@@ -124,7 +124,8 @@ impl Network {
     ) -> Result<BlockLayout> {
         let bytes = |size: usize| -> Result<u64> {
             let layout = BlockLayout::new(views, size, blocks.overlap)?;
-            let (shape, plan) = (shape(size)?, self.plan(limits, shape(size)?)?);
+            let shape = shape(size)?;
+            let plan = self.plan(limits, shape)?;
             let (_, joined) = layout.scene(limits, shape, *plan.tensors.scene());
             Ok(self.weight_bytes() + plan.bytes() + joined)
         };

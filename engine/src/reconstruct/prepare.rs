@@ -62,6 +62,9 @@ impl Model {
 
     /// Prepares `count` photos, which `view` opens and fits to a width and height. Checks options
     /// before the first.
+    ///
+    /// # Errors
+    /// Those of [`Model::reconstruct`] and `view`.
     pub fn prepare(
         &self,
         count: usize,

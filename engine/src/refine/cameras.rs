@@ -25,6 +25,7 @@ impl PoseAdam {
     }
 }
 
+/// Cameras of all photos; only training cameras move.
 pub(super) struct Cameras {
     cameras: Vec<Camera>,
     adams: Vec<Option<PoseAdam>>,

@@ -35,6 +35,7 @@ pub struct RefineCheckpoint {
 /// Name and value of conditions that a checkpoint shares with the refinement that continues it.
 pub(super) type Identity = Vec<(&'static str, String)>;
 
+/// A state that is written, or read in the same order.
 pub(super) enum State<'a> {
     Save(Vec<Values>),
     Load(SafeTensors<'a>, &'a Path),

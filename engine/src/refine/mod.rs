@@ -33,7 +33,7 @@ use crate::{
     Error, Result,
     gpu::{Arena, Profile},
     reconstruct::SceneTokens,
-    types::{Camera, ColorTransform, Scene},
+    types::{Camera, ColorTransform, Scene, median},
 };
 use checkpoint::{hashed, hashed_scene, identity};
 use gaussians::Gaussians;
@@ -348,9 +348,7 @@ fn distance(scene: &Scene, cameras: &[Camera]) -> f64 {
     let to = |seen: bool| {
         let pairs = cameras.iter().flat_map(|camera| points.iter().map(move |point| (camera, *point)));
         let pairs = pairs.filter(move |(camera, point)| !seen || camera.project(*point).is_some());
-        let mut distances: Vec<f64> = pairs.map(|(camera, point)| camera.pose.translation.distance(point)).collect();
-        let middle = distances.len() / 2;
-        (!distances.is_empty()).then(|| *distances.select_nth_unstable_by(middle, f64::total_cmp).1)
+        median(pairs.map(|(camera, point)| camera.pose.translation.distance(point)))
     };
     to(true).or_else(|| to(false)).filter(|distance| *distance > 0.0).unwrap_or(1.0)
 }

@@ -55,6 +55,9 @@ impl Values {
     }
 
     /// Reads a matrix of whole groups in 8 bits.
+    ///
+    /// # Errors
+    /// As [`Values::read_f32`], and for values or scales out of range.
     pub fn read_q8(&self, name: &str) -> Result<Q8> {
         self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
     }

@@ -4,7 +4,6 @@ use super::{
 };
 use crate::{
     depth::{CamerasFrom, PredictedViews},
-    metrics::median,
     outputs::{LOG_START, make_folder},
     photos::{names, text},
     process,
@@ -25,7 +24,7 @@ use zipsplat::{
     Error, Result,
     stages::Family,
     types::{
-        Camera, Masks,
+        Camera, Masks, median,
         poses::{Capture, CaptureView, read_cloud},
     },
 };

@@ -48,8 +48,8 @@ pub struct Edit {
     /// cameras' world]
     #[arg(long, value_name = "PHOTO", requires = "cameras")]
     relative_to: Option<PathBuf>,
-    /// Features of the scenes, of `lift`, one file each: writes those of the edited scene beside it,
-    /// as .safetensors
+    /// Features of the scenes, of `lift`, one file each: writes those of the edited scene beside
+    /// it, as .safetensors
     #[arg(long, value_name = "FILE", num_args = 1..)]
     features: Vec<PathBuf>,
     #[command(flatten)]

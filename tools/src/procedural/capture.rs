@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3, Vec3A};
 use rayon::prelude::*;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, median};
 use zipsplat::{Error, Result};
 
 use super::families::Family;
@@ -76,8 +76,8 @@ pub struct Capture {
     pub images: Vec<Image>,
     /// `[views][height][width]` z at pixel centers; 0 in the sky.
     pub depths: Vec<Vec<f32>>,
-    /// `[views][height][width]` surface at pixel centers: its rank by visible pixels in all views, at
-    /// most 255, which is also the sky.
+    /// `[views][height][width]` surface at pixel centers: its rank by visible pixels in all views,
+    /// at most 255, which is also the sky.
     pub labels: Vec<Vec<u8>>,
     /// `[views][views]`: share of the first view's surfaces visible in the second.
     pub overlap: Vec<f32>,
@@ -234,12 +234,10 @@ impl Setup {
             let surfaces = frame.depth.iter().enumerate().filter(|(_, z)| **z > 0.0);
             surfaces.map(move |(i, z)| {
                 let ray = self.lens.ray((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
-                (view.eye + view.rotation * ray * *z).distance(first)
+                f64::from((view.eye + view.rotation * ray * *z).distance(first))
             })
         });
-        let mut distances: Vec<f32> = points.collect();
-        let middle = distances.len() / 2;
-        f64::from(*distances.select_nth_unstable_by(middle, f32::total_cmp).1)
+        median(points).expect("photos of surfaces")
     }
 
     fn frame(&self, view: View, photos: &Photos, go_on: GoOn<'_>) -> Result<Frame> {

@@ -1,6 +1,7 @@
 //! Content and overlap checks of proposed views, with few rays.
 
 use glam::{Vec2, Vec3A};
+use zipsplat::types::median;
 
 use super::path::View;
 use super::world::World;
@@ -52,9 +53,7 @@ pub(super) fn overlap(world: &World, lens: Lens, views: &[View]) -> Option<Vec<f
         lens.grid(*view).filter_map(hit).collect::<Vec<_>>()
     };
     let probes: Vec<Vec<(f32, Vec3A)>> = views.iter().map(probe).collect();
-    let mut distances: Vec<f32> = probes.iter().flatten().map(|(t, _)| *t).collect();
-    let middle = distances.len() / 2;
-    let median = *distances.select_nth_unstable_by(middle, f32::total_cmp).1;
+    let median = median(probes.iter().flatten().map(|(t, _)| f64::from(*t)))? as f32;
     let least = (LEAST_SURFACE * (GRID * GRID) as f32) as usize;
     let worth = |probes: &Vec<(f32, Vec3A)>| probes.len() >= least && probes.iter().all(|(t, _)| *t > NEAREST * median);
     if !probes.iter().all(worth) {

@@ -120,8 +120,8 @@ pub struct RefineSettings {
     /// Also fit known depth: of a folder with NAME.npy (f32 [height, width]) or NAME.png (16-bit,
     /// 1000 levels per unit) for each photo NAME, z in the cameras' unit and 0 if unknown, or with
     /// depths.safetensors of `depth`; of a transforms.json with depth_file_path; or of a depth
-    /// network, as for `depth --weights`. Networks' inverse depth is fitted to each photo by a scale
-    /// and a shift
+    /// network, as for `depth --weights`. Networks' inverse depth is fitted to each photo by a
+    /// scale and a shift
     #[arg(long, value_name = "FOLDER|FILE|NETWORK")]
     depth_loss: Option<PathBuf>,
     /// Initial weight of depth in the loss; it falls to a hundredth [default: 2; 0.5 for a

@@ -1,14 +1,11 @@
 use super::{RefineSettings, TOKENS};
-use crate::{
-    metrics::median,
-    table::{Table, bytes, counted, significant, time},
-};
+use crate::table::{Table, bytes, counted, significant, time};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use zipsplat::{
     refine::{DepthKind, DepthLoss, LearningRates, RefineOptions, RefineResult, StopReason},
-    types::{Camera, Pose},
+    types::{Camera, Pose, median},
 };
 
 /// Medians of the moved cameras: rotation in degrees, and shift.

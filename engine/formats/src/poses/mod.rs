@@ -307,6 +307,9 @@ fn joined(frames: &[CaptureView]) -> Vec<(CaptureView, Option<usize>)> {
     written
 }
 
+/// Camera model of 360-degree photos, in transforms.json and COLMAP.
+const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
+
 /// Largest difference of the matrices of one photo's views.
 const SAME_POSE: f64 = 1e-9;
 

@@ -1,7 +1,7 @@
 //! Scene scale: the network's unit of length in the world of known cameras.
 
 use super::{super::Camera, super::Pose, read_cloud};
-use crate::Result;
+use crate::{Result, median};
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix3;
 use serde::Serialize;
@@ -138,8 +138,8 @@ fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
         return None;
     }
     let point = sum.inverse() * moment;
-    let depth = median(cameras.iter().map(|pose| (point - pose.translation).dot(pose.rotation.z_axis)).collect())?;
-    let distance = median(cameras.iter().map(|pose| point.distance(pose.translation)).collect())?;
+    let depth = median(cameras.iter().map(|pose| (point - pose.translation).dot(pose.rotation.z_axis)))?;
+    let distance = median(cameras.iter().map(|pose| point.distance(pose.translation)))?;
     let own = point.distance(first.translation).clamp(distance / FARTHER, distance * FARTHER);
     (depth > 0.0 && own > 0.0).then_some(own)
 }
@@ -151,11 +151,6 @@ fn of_spread(cameras: &[Pose]) -> Option<f64> {
     let spread = (2.0 * squares / (count - 1.0)).sqrt();
     // Cameras rotating on a tripod differ by rounding.
     (spread.is_finite() && spread > 1e-9 * center.length()).then_some(spread)
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 #[cfg(test)]

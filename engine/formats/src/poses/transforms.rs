@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use super::super::file::{read_file, write_atomic};
 use super::super::{Camera, Distortion, Image, Intrinsics, Lens, Pose};
 use super::matrix::{from_opengl, rigid_matrix};
-use super::{Capture, CaptureView, joined};
+use super::{Capture, CaptureView, EQUIRECTANGULAR, joined};
 use crate::{Error, Result};
 
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
@@ -213,7 +213,6 @@ pub fn write_frames_with(
 
 const PINHOLE: &str = "PINHOLE";
 const FULL_OPENCV: &str = "FULL_OPENCV";
-const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
 const FISHEYES: [&str; 3] = ["OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE"];
 /// Field of a frame that is one view of a photo of a wide lens.
 const VIEW: &str = "view";

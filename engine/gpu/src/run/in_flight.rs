@@ -4,6 +4,9 @@ use crate::{Result, Run, memory::staging::StagingBuffers};
 
 impl Run {
     /// Prepares for [`Run::start`]. Adds staging buffers unless device memory is host visible.
+    ///
+    /// # Errors
+    /// [`crate::Error::Memory`] without host memory for them.
     pub fn in_flight(mut self) -> Result<Self> {
         self.overlapped = true;
         self.make_staging()?;

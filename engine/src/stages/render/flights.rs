@@ -20,6 +20,9 @@ struct Flight {
 
 impl Renderer {
     /// Renders each camera, passing images to `done` in order.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`], and the first error of `done`.
     pub fn render_each(
         &mut self,
         cameras: &[Camera],

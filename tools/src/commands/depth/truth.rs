@@ -1,11 +1,11 @@
-use crate::{cameras::Similarity, depth::PredictedViews, metrics::median, npy};
+use crate::{cameras::Similarity, depth::PredictedViews, npy};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Camera, Error, Result,
     depth::DepthMap,
-    types::{poses::Capture, preprocess::PixelMap},
+    types::{median, poses::Capture, preprocess::PixelMap},
 };
 
 pub struct Truth {

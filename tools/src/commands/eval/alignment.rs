@@ -1,10 +1,10 @@
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
     capture::{Score, ViewSplit},
-    metrics::median,
     table::Table,
 };
 use serde::Serialize;
+use zipsplat::types::median;
 
 #[derive(Serialize)]
 pub struct AlignedScore {

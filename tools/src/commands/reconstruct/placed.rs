@@ -1,11 +1,11 @@
-use crate::{cameras::path_from, metrics::median, options::Size, outputs::make_folder, photos::names, table::counted};
+use crate::{cameras::path_from, options::Size, outputs::make_folder, photos::names, table::counted};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     cameras::CameraEstimate,
     types::{
-        Camera, Image,
+        Camera, Image, median,
         poses::{CaptureView, write_frames_with},
         preprocess::PixelMap,
     },

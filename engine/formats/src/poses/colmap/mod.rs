@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::super::camera::{Intrinsics, Pose, matrix_from_quaternion};
 use super::super::{Distortion, Lens, PointCloud, file::read_file};
-use super::{Capture, CaptureView};
+use super::{Capture, CaptureView, EQUIRECTANGULAR};
 use crate::{Error, Result};
 
 /// Models of [`Distortion`]: ID, name, number of parameters (`f, cx, cy` or `fx, fy, cx, cy`, then
@@ -31,7 +31,6 @@ const MODELS: [(i32, &str, usize); 12] = [
     (15, "FISHEYE", 4),
     (17, EQUIRECTANGULAR, 2),
 ];
-const EQUIRECTANGULAR: &str = "EQUIRECTANGULAR";
 const ONE_FOCAL: [&str; 6] =
     ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE"];
 
