@@ -9,7 +9,8 @@
 // Disabled outputs bind placeholders. Depth is the weighted sum of z, divided by alpha if
 // EXPECTED_DEPTH. Normals are weighted sums scaled to length 1, or 0.
 // One workgroup owns RUNS row-major runs of pixels of one tile, each as long as a subgroup. One
-// invocation owns one pixel per run. All read a Gaussian at one address.
+// invocation owns one pixel per run. All read a Gaussian at one address. If BATCHED, each lane
+// loads one Gaussian of a batch into shared memory, which hides the latency of GPU memory.
 // Source: 3D Gaussian Splatting (Kerbl et al. 2023) with the constants of gsplat 1.5.3.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -26,6 +27,7 @@ layout(constant_id = 5) const bool DEPTH = false;
 layout(constant_id = 6) const bool EXPECTED_DEPTH = false;
 layout(constant_id = 7) const bool NORMAL = false;
 layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // pairs per token; 0 disables token colors
+layout(constant_id = 9) const bool BATCHED = false;
 
 layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
@@ -38,6 +40,8 @@ layout(set = 0, binding = 7) writeonly buffer Frames { float frames[]; };
 layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row; uint row_count; vec3 background; };
 
 #include "shared/runs.glsl"
+#include "shared/batch.glsl"
+#include "shared/token_color.glsl"
 
 struct Values {
     vec3 rgb;
@@ -52,13 +56,16 @@ struct Pixel {
     Values sum;
 };
 
-// PCG hash, a byte per channel (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
-vec3 token_color(uint token) {
-    uint state = token * 747796405u + 2891336453u;
-    uint word = (state >> (state >> 28) + 4 ^ state) * 277803737u;
-    uint hash = word >> 22 ^ word;
-    return vec3(uvec3(hash, hash >> 8, hash >> 16) & 255) / 255;
-}
+struct Splat {
+    vec3 xy_opacity;
+    vec3 conic;
+    Values values;
+};
+
+const uint GROUP = 4; // splats whose alphas are independent instructions
+shared vec4 directions[NORMAL ? BATCH : 1];
+shared vec4 tokens[TOKEN_PAIRS > 0 ? BATCH : 1];
+Pixel pixels[RUNS];
 
 Values values(uint pair) {
     Values values = NOTHING;
@@ -83,10 +90,8 @@ void blend(inout Pixel pixel, float alpha, Values values) {
 }
 
 uint store(uint at, vec3 value) {
-    frames[at] = value.x;
-    frames[at + 1] = value.y;
-    frames[at + 2] = value.z;
-    return at + 3;
+    for (uint c = 0; c < 3; c++) frames[at++] = value[c];
+    return at;
 }
 
 void store(Pixel pixel, uint at) {
@@ -99,15 +104,79 @@ void store(Pixel pixel, uint at) {
     if (TOKEN_PAIRS > 0) store(at, pixel.sum.token);
 }
 
+Splat load(uint pair) { return Splat(xy_opacities[pair], conics[pair], values(pair)); }
+
+// Stores the splats that reach the workgroup; returns their number.
+uint store_batch(Splat splat, bool inside) {
+    Falloff falloff = falloff(splat.xy_opacity, splat.conic);
+    bool reached = inside && reaches(falloff);
+    uint count, at = batch_place(reached, count);
+    subgroupBarrier(); // orders reads of the last batch before writes
+    if (reached) {
+        put(at, falloff, vec4(splat.values.rgb, splat.values.depth));
+        if (NORMAL) directions[at] = vec4(splat.values.normal, 0);
+        if (TOKEN_PAIRS > 0) tokens[at] = vec4(splat.values.token, 0);
+    }
+    subgroupBarrier();
+    return count;
+}
+
+Values batch_values(uint at) {
+    Values values = NOTHING;
+    if (COLOR) values.rgb = shades[at].rgb;
+    if (DEPTH) values.depth = shades[at].w;
+    if (NORMAL) values.normal = directions[at].xyz;
+    if (TOKEN_PAIRS > 0) values.token = tokens[at].xyz;
+    return values;
+}
+
+// Returns false once all pixels of the workgroup are done.
+bool blend_batch(uint count) {
+    for (uint first = 0; first < count; first += GROUP) {
+        float alphas[GROUP][RUNS]; // negative if not seen
+        for (uint n = 0; n < GROUP; n++) {
+            Falloff splat = batch_falloff(first + n);
+            for (uint run = 0; run < RUNS; run++) {
+                Sight sight;
+                bool seen = sees(splat, run, sight) && first + n < count;
+                float alpha = min(ALPHA_MAX, alpha(splat, sight));
+                alphas[n][run] = seen ? alpha : -1;
+            }
+        }
+        bool live = false;
+        for (uint n = 0; n < GROUP; n++) {
+            Values seen = batch_values(first + n);
+            for (uint run = 0; run < RUNS; run++) {
+                if (alphas[n][run] >= 0) blend(pixels[run], alphas[n][run], seen);
+                if (n == GROUP - 1) live = live || pixels[run].transmittance > 0;
+            }
+        }
+        if (!subgroupAny(live)) return false;
+    }
+    return true;
+}
+
+// Loads batches ahead: values by one, indices by two.
+void blend_batches(uint start, uint end) {
+    uint i = start + gl_LocalInvocationID.x, last = end - 1;
+    Splat next = load(pair_indices[min(i, last)]);
+    uint pair = pair_indices[min(i + LANES, last)];
+    for (uint first = start; first < end; first += LANES, i += LANES) {
+        Splat splat = next;
+        next = load(pair);
+        pair = pair_indices[min(i + 2 * LANES, last)];
+        if (!blend_batch(store_batch(splat, i < end))) break;
+    }
+}
+
 void main() {
-    Pixel pixels[RUNS];
     for (uint run = 0; run < RUNS; run++) {
         pixels[run] = Pixel(all(lessThan(position(run), size)) ? 1 : -1, NOTHING);
     }
-
     uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
-    uint end = tile_offsets[list + 1];
-    for (uint i = tile_offsets[list]; i < end; i++) {
+    uint start = tile_offsets[list], end = tile_offsets[list + 1];
+    if (BATCHED && start < end) blend_batches(start, end);
+    for (uint i = start; !BATCHED && i < end; i++) {
         uint pair = pair_indices[i];
         Values seen = values(pair);
         Falloff splat = falloff(xy_opacities[pair], conics[pair]);

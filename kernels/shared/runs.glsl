@@ -45,12 +45,18 @@ struct Sight {
     float across;
 };
 
+// Largest exponent in a run's row. `from` is its first pixel, as Falloff.corner.
+float strongest(Falloff falloff, vec3 from) {
+    float shear = falloff.conic.y * from.z;
+    float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
+    return falloff.conic.x * nearest * nearest + falloff.conic.z * from.y * from.y;
+}
+
 bool sees(Falloff falloff, uint run, out Sight sight) {
     vec3 from = falloff.corner + run_start(run).xyy + vec3(0, lane_offset().yy);
     float shear = falloff.conic.y * from.z;
     sight = Sight(from.x + lane_offset().x - shear, from.y, falloff.conic.z * from.y * from.y);
-    float nearest = clamp(shear, from.x, from.x + min(LANES, TILE) - 1) - shear;
-    return falloff.conic.x * nearest * nearest + sight.across >= falloff.faint;
+    return strongest(falloff, from) >= falloff.faint;
 }
 
 // Not clamped to ALPHA_MAX.

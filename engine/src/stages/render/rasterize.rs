@@ -52,6 +52,7 @@ pub(super) fn record(
             expected_depth: options.depth == Some(Depth::Expected),
             normal: options.normals,
             token_pairs: options.token_group.map_or(0, |group| group.get().saturating_mul(shape.cameras as u32)),
+            batched: !rec.limits().cpu,
         };
         let groups = [shape.grid()[0] * groups_a_tile, (rows as u32).div_ceil(TILE), shape.cameras as u32];
         rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / height as u64);
