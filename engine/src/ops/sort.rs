@@ -1,6 +1,6 @@
 //! Stable LSD radix sort with a device-side count; dispatches depend on capacity alone.
 
-use super::scan::exclusive_scan;
+use super::scan::{block_shape, exclusive_scan};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{
@@ -10,9 +10,9 @@ use crate::{
 };
 
 const DIGIT_BITS: u32 = RADIX.ilog2();
-/// Minimum items per workgroup, which bounds the digit table.
-const SHARE: usize = 1024;
-const MAX_BLOCKS: usize = 1024;
+/// Blocks bound the digit table: 1 KiB each, for at least 256 items of 8 bytes.
+const CPU_BLOCKS: usize = 1024;
+const GPU_BLOCKS: usize = 4096;
 
 /// Returns `item_count[0]` of `capacity` pairs sorted by the lowest `bits` bits.
 pub fn sort_pairs(
@@ -23,7 +23,8 @@ pub fn sort_pairs(
     capacity: usize,
     bits: u32,
 ) -> (Tensor, Tensor) {
-    let blocks = capacity.div_ceil(SHARE).clamp(1, MAX_BLOCKS);
+    let (share, rounds) = block_shape(rec.limits());
+    let blocks = capacity.div_ceil(share).clamp(1, if rec.limits().cpu { CPU_BLOCKS } else { GPU_BLOCKS });
     let table = RADIX as usize * blocks;
     rec.scope("sort", |rec| {
         for shift in (0..bits).step_by(DIGIT_BITS as usize) {
@@ -31,7 +32,10 @@ pub fn sort_pairs(
             let sorted_keys = rec.tensor::<u32>("keys", capacity);
             let sorted_values = rec.tensor::<u32>("values", capacity);
             let (blocks, mask) = (blocks as u32, (1 << (bits - shift).min(DIGIT_BITS)) - 1);
-            rec.dispatch_groups(SortCount { keys, item_count, digit_counts: digits, shift, mask, blocks }, blocks);
+            rec.dispatch_groups(
+                SortCount { keys, item_count, digit_counts: digits, shift, mask, blocks, rounds },
+                blocks,
+            );
             exclusive_scan(rec, digits, table);
             let scatter = SortScatter {
                 keys,
@@ -43,6 +47,7 @@ pub fn sort_pairs(
                 shift,
                 mask,
                 blocks,
+                rounds,
             };
             rec.dispatch_groups(scatter, blocks);
             (keys, values) = (sorted_keys, sorted_values);

@@ -1,10 +1,18 @@
 //! The radix sort of a part of its items and bits, and the starts of keys.
 
 use crate::case::*;
-use zipsplat::ops::sort::{key_starts, sort_pairs};
+use zipsplat::ops::{
+    scan::exclusive_scan,
+    sort::{key_starts, sort_pairs},
+};
 
-fn check(keys: &[u32], count: usize, bits: u32) {
-    let mut case = plan();
+/// Limits for the blocks of CPUs and GPUs, on any device.
+fn both_blocks() -> [Limits; 2] {
+    [true, false].map(|cpu| Limits { cpu, ..device().limits().clone() })
+}
+
+fn check(limits: &Limits, keys: &[u32], count: usize, bits: u32) {
+    let mut case = plan_within(limits);
     let indices: Vec<u32> = (0..keys.len() as u32).collect();
     let (unsorted, indices, item_count) = (case.input(keys), case.input(&indices), case.input(&[count as u32]));
     let (sorted, order) = sort_pairs(&mut case.rec, unsorted, indices, item_count, keys.len(), bits);
@@ -24,7 +32,24 @@ fn keys(count: usize) -> Vec<u32> {
 #[test]
 fn sorts_only_the_items_and_bits_in_use() {
     for (count, bits) in [(0, 32), (1, 0), (3_000, 0), (3_000, 1), (3_000, 13), (1, 31), (4_999, 20)] {
-        check(&keys(5_000), count, bits);
+        both_blocks().iter().for_each(|limits| check(limits, &keys(5_000), count, bits));
+    }
+    // More blocks of 256 than limits of blocks, and items in a part of them.
+    both_blocks().iter().for_each(|limits| check(limits, &keys(1_200_007), 1_100_003, 9));
+}
+
+#[test]
+fn sums_in_blocks_of_any_size() {
+    for count in [1, 255, 256, 257, 2_049, 300_001] {
+        let values = keys(count);
+        let before = values.iter().scan(0u32, |sum, value| Some(std::mem::replace(sum, sum.wrapping_add(*value))));
+        let truth: Vec<u32> = before.collect();
+        for limits in both_blocks() {
+            let mut case = plan_within(&limits);
+            let sums = case.input(&values);
+            exclusive_scan(&mut case.rec, sums, count);
+            assert_same(&format!("{count} sums"), &case.result::<u32>(sums).unwrap(), &truth);
+        }
     }
 }
 
