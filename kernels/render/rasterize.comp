@@ -108,15 +108,10 @@ Splat load(uint pair) { return Splat(xy_opacities[pair], conics[pair], values(pa
 
 // Stores the splats that reach the workgroup; returns their number.
 uint store_batch(Splat splat, bool inside) {
-    Falloff falloff = falloff(splat.xy_opacity, splat.conic);
-    bool reached = inside && reaches(falloff);
-    uint count, at = batch_place(reached, count);
-    subgroupBarrier(); // orders reads of the last batch before writes
-    if (reached) {
-        put(at, falloff, vec4(splat.values.rgb, splat.values.depth));
-        if (NORMAL) directions[at] = vec4(splat.values.normal, 0);
-        if (TOKEN_PAIRS > 0) tokens[at] = vec4(splat.values.token, 0);
-    }
+    vec4 shade = vec4(splat.values.rgb, splat.values.depth);
+    uint at, count = put(falloff(splat.xy_opacity, splat.conic), shade, inside, at);
+    if (NORMAL && at < BATCH) directions[at] = vec4(splat.values.normal, 0);
+    if (TOKEN_PAIRS > 0 && at < BATCH) tokens[at] = vec4(splat.values.token, 0);
     subgroupBarrier();
     return count;
 }

@@ -12,7 +12,7 @@
 //
 // g is the gradient of ln alpha, e = dx - k dy and y = dy, as in render/project. One workgroup owns
 // one tile, in runs as in render/rasterize, and writes each slot of its list once. Sums are in the
-// order of runs, then lanes.
+// order of runs, then lanes. If BATCHED, lanes load and write as many splats at once.
 // Source: brush (2024), where the color behind a splat is the frame minus the part blended so far.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -27,6 +27,7 @@ layout(constant_id = 2) const bool COLOR = true;
 layout(constant_id = 3) const bool ALPHA = false;
 layout(constant_id = 4) const bool DEPTH = false;
 layout(constant_id = 5) const bool EXPECTED_DEPTH = false;
+layout(constant_id = 6) const bool BATCHED = false;
 
 layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
@@ -43,6 +44,7 @@ layout(set = 0, binding = 11) writeonly buffer DValues { float d_values[]; };
 layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row; uint row_count; uint capacity; };
 
 #include "shared/runs.glsl"
+#include "shared/batch.glsl"
 #include "shared/slots.glsl"
 
 const uint CHANNELS = (COLOR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
@@ -62,6 +64,18 @@ struct Gradient {
     vec3 rgb;
     float depth;
 };
+
+struct Splat {
+    uint pair;
+    vec3 xy_opacity;
+    vec3 conic;
+    vec4 shade; // color and depth
+};
+
+const Gradient NOTHING = Gradient(vec3(0), vec3(0), vec3(0), 0);
+
+Pixel pixels[RUNS];
+uint open = 0; // own pixels that are not done
 
 vec3 load(uint at) { return vec3(d_frames[at], d_frames[at + 1], d_frames[at + 2]); }
 
@@ -104,7 +118,7 @@ void put(uint slot, Gradient gradient) {
 }
 
 // Moves a pixel past a splat of unclamped alpha `full`; accumulates the splat's gradient.
-void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, inout Gradient sum, inout uint open) {
+void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, inout Gradient sum) {
     float alpha = min(ALPHA_MAX, full);
     bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
     float left = pixel.transmittance * (1 - alpha);
@@ -122,10 +136,52 @@ void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, in
     if (seen && !drawn) open--;
 }
 
+// Moves all pixels past a splat; returns its gradient.
+Gradient gradient(Falloff splat, vec4 shade) {
+    Gradient sum = NOTHING;
+    bool reached = false;
+    for (uint run = 0; run < RUNS; run++) {
+        Sight sight;
+        if (sees(splat, run, sight)) {
+            share(pixels[run], alpha(splat, sight), sight, shade.rgb, shade.w, sum);
+            reached = true;
+        }
+    }
+    if (subgroupAny(reached)) {
+        sum.first = subgroupAdd(sum.first);
+        sum.second = subgroupAdd(sum.second);
+        if (COLOR) sum.rgb = subgroupAdd(sum.rgb);
+        if (DEPTH) sum.depth = subgroupAdd(sum.depth);
+    }
+    return sum;
+}
+
+Splat splat(uint pair) {
+    return Splat(pair, xy_opacities[pair], conics[pair], vec4(COLOR ? colors[pair] : vec3(0), DEPTH ? depths[pair] : 0));
+}
+
+// Returns where the batches not processed start. Loads batches ahead, as render/rasterize.
+uint process_batches(uint first, uint end) {
+    uint i = first + gl_LocalInvocationID.x, last = end - 1;
+    Splat next = splat(pair_indices[min(i, last)]);
+    uint pair = pair_indices[min(i + LANES, last)];
+    for (; first < end && subgroupAny(open > 0); first += LANES, i += LANES) {
+        Splat own = next;
+        next = splat(pair);
+        pair = pair_indices[min(i + 2 * LANES, last)];
+        uint at, count = put(falloff(own.xy_opacity, own.conic), own.shade, i < end, at);
+        subgroupBarrier();
+        Gradient sum = NOTHING;
+        for (uint n = 0; n < count && subgroupAny(open > 0); n++) {
+            Gradient total = gradient(batch_falloff(n), batch_shade(n));
+            if (n == at) sum = total;
+        }
+        if (i < end) put(slot_of(own.pair), sum);
+    }
+    return first;
+}
+
 void main() {
-    const Gradient nothing = Gradient(vec3(0), vec3(0), vec3(0), 0);
-    Pixel pixels[RUNS];
-    uint open = 0; // own pixels that are not done
     for (uint run = 0; run < RUNS; run++) {
         pixels[run] = pixel(position(run));
         if (pixels[run].transmittance > 0) open++;
@@ -133,28 +189,12 @@ void main() {
 
     uint list = (gl_WorkGroupID.z * grid.y + tile().y) * grid.x + tile().x;
     uint i = tile_offsets[list], end = tile_offsets[list + 1];
-    for (; i < end && subgroupAny(open > 0); i++) {
-        uint pair = pair_indices[i];
-        vec3 rgb = COLOR ? colors[pair] : vec3(0);
-        float depth = DEPTH ? depths[pair] : 0;
-        Falloff splat = falloff(xy_opacities[pair], conics[pair]);
-        Gradient sum = nothing;
-        bool reached = false;
-        for (uint run = 0; run < RUNS; run++) {
-            Sight sight;
-            if (sees(splat, run, sight)) {
-                share(pixels[run], alpha(splat, sight), sight, rgb, depth, sum, open);
-                reached = true;
-            }
-        }
-        if (subgroupAny(reached)) {
-            sum.first = subgroupAdd(sum.first);
-            sum.second = subgroupAdd(sum.second);
-            if (COLOR) sum.rgb = subgroupAdd(sum.rgb);
-            if (DEPTH) sum.depth = subgroupAdd(sum.depth);
-        }
-        if (subgroupElect()) put(slot_of(pair), sum);
+    if (BATCHED && i < end) i = process_batches(i, end);
+    for (; !BATCHED && i < end && subgroupAny(open > 0); i++) {
+        Splat own = splat(pair_indices[i]);
+        Gradient sum = gradient(falloff(own.xy_opacity, own.conic), own.shade);
+        if (subgroupElect()) put(slot_of(own.pair), sum);
     }
     // The remaining splats are hidden.
-    for (i += gl_LocalInvocationID.x; i < end; i += LANES) put(slot_of(pair_indices[i]), nothing);
+    for (i += gl_LocalInvocationID.x; i < end; i += LANES) put(slot_of(pair_indices[i]), NOTHING);
 }

@@ -21,20 +21,24 @@ bool reaches(Falloff falloff) {
     return reached;
 }
 
-// Place of a lane's splat among the kept ones, and their count.
-uint batch_place(bool kept, out uint count) {
-    uvec4 lanes = subgroupBallot(kept);
-    count = subgroupBallotBitCount(lanes);
-    return subgroupBallotExclusiveBitCount(lanes);
-}
-
-void put(uint at, Falloff falloff, vec4 shade) {
-    corners[at] = vec4(falloff.corner, falloff.opacity);
-    shapes[at] = vec4(falloff.conic, falloff.faint);
-    if (COLOR || DEPTH) shades[at] = shade;
+// Stores the splats of the lanes inside that reach the workgroup, in order, and returns their
+// number. A subgroup barrier must follow. `at` is the lane's place; BATCH if not stored.
+uint put(Falloff falloff, vec4 shade, bool inside, out uint at) {
+    bool reached = inside && reaches(falloff);
+    uvec4 lanes = subgroupBallot(reached);
+    at = reached ? subgroupBallotExclusiveBitCount(lanes) : BATCH;
+    subgroupBarrier(); // orders reads of the last batch before writes
+    if (reached) {
+        corners[at] = vec4(falloff.corner, falloff.opacity);
+        shapes[at] = vec4(falloff.conic, falloff.faint);
+        if (COLOR || DEPTH) shades[at] = shade;
+    }
+    return subgroupBallotBitCount(lanes);
 }
 
 Falloff batch_falloff(uint at) {
     vec4 corner = corners[at], shape = shapes[at];
     return Falloff(corner.xyz, shape.xyz, corner.w, shape.w);
 }
+
+vec4 batch_shade(uint at) { return COLOR || DEPTH ? shades[at] : vec4(0); }

@@ -335,6 +335,20 @@ fn gives_the_same_bits_again_and_adds_to_what_is_there() {
 }
 
 #[test]
+fn gpu_paths_have_the_same_bits() {
+    let cameras = two_cameras();
+    let (scene, _, _) = many_tiles(2_000);
+    for (i, (request, _)) in requests().into_iter().enumerate() {
+        let d_frames = random(9, 2 * (SIZE[0] * SIZE[1]) as usize * request.channels());
+        let [cpu, gpu] = [true, false].map(|cpu| {
+            let limits = Limits { cpu, ..device().limits().clone() };
+            How { limits: &limits, ..How::default() }.find(&scene, &cameras, &request, &d_frames)
+        });
+        assert_eq!(gpu.bits(), cpu.bits(), "request {i}");
+    }
+}
+
+#[test]
 fn what_is_not_asked_for_is_left_alone() {
     let (scene, request, d_frames) = many_tiles(300);
     let cameras = two_cameras();

@@ -154,6 +154,7 @@ impl Backward<'_> {
                 alpha: options.alpha,
                 depth: options.depth.is_some(),
                 expected_depth: options.depth == Some(Depth::Expected),
+                batched: !rec.limits().cpu,
             };
             let groups = [shape.grid()[0], (rows as u32).div_ceil(TILE), shape.cameras as u32];
             rec.dispatch_groups(kernel, groups).flops(blends * FLOPS * rows as u64 / height as u64);

@@ -268,6 +268,7 @@ impl Values for Problem {
             alpha: true,
             depth: true,
             expected_depth: false,
+            batched: !device.limits().cpu,
         };
         trial.rec.dispatch_groups(kernel, [columns as u32, rows as u32, 1]);
         Ok(joined(&trial.results([moments, d_values])?, [6, 4]))
