@@ -1,6 +1,9 @@
 use crate::{
     elements::Element,
-    reflect::{COOPERATIVE_MATRIX, DOT_PRODUCT_PACKED, Interface, Member, STORAGE_BUFFER_16_BIT, Scalar},
+    reflect::{
+        COOPERATIVE_MATRIX, COOPERATIVE_MATRIX_CONVERSIONS, DOT_PRODUCT_PACKED, Interface, Member,
+        STORAGE_BUFFER_16_BIT, Scalar,
+    },
     sources::Source,
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
@@ -145,6 +148,7 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     let spirv = spirv.display();
     let (half, dots) = (interface.has(STORAGE_BUFFER_16_BIT), interface.has(DOT_PRODUCT_PACKED));
     let factor = source.factor().filter(|_| interface.has(COOPERATIVE_MATRIX));
+    let conversions = interface.has(COOPERATIVE_MATRIX_CONVERSIONS);
     let matrices = factor.map_or("None".into(), |factor| format!("Some(Element::{factor:?})"));
     format!(
         "Module {{
@@ -155,7 +159,7 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
             addresses: &{addresses:?},
             constant_ids: &{ids:?},
             local_size: {local_size},
-            needs: Needs {{ half_storage: {half}, matrices: {matrices}, dot_products: {dots} }},
+            needs: Needs {{ half_storage: {half}, matrices: {matrices}, conversions: {conversions}, dot_products: {dots} }},
         }}, "
     )
 }

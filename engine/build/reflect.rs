@@ -45,6 +45,7 @@ enum Type {
 pub const STORAGE_BUFFER_16_BIT: u32 = 4433;
 pub const DOT_PRODUCT_PACKED: u32 = 6018;
 pub const COOPERATIVE_MATRIX: u32 = 6022;
+pub const COOPERATIVE_MATRIX_CONVERSIONS: u32 = 5431;
 
 impl Interface {
     pub fn has(&self, capability: u32) -> bool {

@@ -81,9 +81,10 @@ fn compile(root: &Path, stale: &[&Source]) {
     options.set_target_env(shaderc::TargetEnv::Vulkan, shaderc::EnvVersion::Vulkan1_3 as u32);
     options.set_optimization_level(shaderc::OptimizationLevel::Zero);
     options.set_warnings_as_errors();
-    // More tools support it than the newest version.
-    options.set_target_spirv(shaderc::SpirvVersion::V1_5);
     for kernel in stale {
+        // More tools support 1.5.
+        let newest = kernel.text.contains("GL_NV_cooperative_matrix2");
+        options.set_target_spirv(if newest { shaderc::SpirvVersion::V1_6 } else { shaderc::SpirvVersion::V1_5 });
         let file = format!("kernels/{}.comp", kernel.kernel);
         let spirv = compiler
             .compile_into_spirv(&kernel.text, shaderc::ShaderKind::Compute, &file, "main", Some(&options))

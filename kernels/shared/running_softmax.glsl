@@ -1,6 +1,7 @@
-// Running softmax of a subgroup's scores, in matrices of sums. Weights are stored as factors.
+// Running softmax of a subgroup's scores, in matrices of sums. Unless CONVERTS, weights are stored
+// as factors.
 //
-// The includer declares `score`, `sums`, shared memory `staged` and, from `scratch` on, room for
+// The includer declares `score`, `sums`, and shared memory `scratch` with room, from `own` on, for
 // ROWS rows of TILE factors, WEIGHT_STRIDE apart, and for the strip of shared/across_rows.
 //
 // Loops around barriers stay short: long ones are not unrolled, which moves `sums` to local memory.
@@ -25,37 +26,40 @@ float rounded(float weight) { return float(float16_t(weight)); }
 float rounded(float weight) { return uintBitsToFloat(bf16_bits(vec4(weight)).x << 16); }
 #endif
 
-// Stores rounded weights of MATRIX_M queries.
-void put_weights(uint m) {
-    uint at = scratch + m * MATRIX_M * WEIGHT_STRIDE;
+#if !CONVERTS
+// Stores a group's weights of MATRIX_M queries.
+void put_weights(uint m, uint group) {
+    uint first = m * KEYS + group * GROUP / MATRIX_N;
+    uint at = own + m * MATRIX_M * WEIGHT_STRIDE + group * GROUP / 8;
 #if FACTOR_IS_F16
-    [[unroll]] for (uint n = 0; n < KEYS; n++) {
-        coopMatStore(Halves(score[m * KEYS + n]), staged, at + n * MATRIX_N / 8, WEIGHT_STRIDE, ROW_MAJOR);
+    [[unroll]] for (uint n = 0; n < GROUP / MATRIX_N; n++) {
+        coopMatStore(Halves(score[first + n]), scratch, at + n * MATRIX_N / 8, WEIGHT_STRIDE, ROW_MAJOR);
     }
 #else
-    uint strip = scratch + STRIP;
+    uint strip = own + STRIP;
     subgroupBarrier();
-    [[unroll]] for (uint n = 0; n < KEYS; n++) {
-        coopMatStore(score[m * KEYS + n], staged, strip + n * MATRIX_N / 4, STRIP_STRIDE, ROW_MAJOR);
+    [[unroll]] for (uint n = 0; n < GROUP / MATRIX_N; n++) {
+        coopMatStore(score[first + n], scratch, strip + n * MATRIX_N / 4, STRIP_STRIDE, ROW_MAJOR);
     }
     subgroupBarrier();
-    for (uint i = gl_SubgroupInvocationID; i < MATRIX_M * TILE / 8; i += LANES) {
-        uint from = strip + i / (TILE / 8) * STRIP_STRIDE + i % (TILE / 8) * 2;
-        vec4 w0 = uintBitsToFloat(staged[from]);
-        vec4 w1 = uintBitsToFloat(staged[from + 1]);
-        staged[at + i / (TILE / 8) * WEIGHT_STRIDE + i % (TILE / 8)] = uvec4(pack_FACTOR4(w0), pack_FACTOR4(w1));
+    for (uint i = gl_SubgroupInvocationID; i < MATRIX_M * GROUP / 8; i += LANES) {
+        uint from = strip + i / (GROUP / 8) * STRIP_STRIDE + i % (GROUP / 8) * 2;
+        vec4 w0 = uintBitsToFloat(scratch[from]);
+        vec4 w1 = uintBitsToFloat(scratch[from + 1]);
+        scratch[at + i / (GROUP / 8) * WEIGHT_STRIDE + i % (GROUP / 8)] = uvec4(pack_FACTOR4(w0), pack_FACTOR4(w1));
     }
 #endif
 }
+#endif
 
-// Turns scores into weights.
-void softmax() {
+// Lets rows follow their maxima.
+void rescale() {
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         row = score[m * KEYS];
         [[unroll]] for (uint n = 1; n < KEYS; n++) {
             [[unroll]] for (uint i = 0; i < ELEMENTS; i++) row[i] = max(row[i], score[m * KEYS + n][i]);
         }
-        uint rises = 0;
+        uint rises = 0; // unlike a maximum, safe from NaN in surplus rows
         [[unroll]] for (uint i = 0; i < ELEMENTS; i++) rises += uint(row[i] - highest[m][i] > RISE);
         if (ALWAYS_RESCALE || subgroupAny(rises > 0)) {
             across_rows(false);
@@ -71,16 +75,23 @@ void softmax() {
             }
         }
     }
+}
+
+// Turns a group's scores into weights.
+void weigh(uint group) {
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        [[unroll]] for (uint n = 0; n < KEYS; n++) {
+        [[unroll]] for (uint n = group * GROUP / MATRIX_N; n < (group + 1) * GROUP / MATRIX_N; n++) {
             [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {
                 float weight = rounded(exp(score[m * KEYS + n][i] - highest[m][i]));
                 score[m * KEYS + n][i] = weight;
                 total[m][i] += weight;
             }
         }
-        put_weights(m);
     }
+#if !CONVERTS
+    [[unroll]] for (uint m = 0; m < REPEAT_M; m++) put_weights(m, group);
+    subgroupBarrier();
+#endif
 }
 
 // Divides sums by the totals.

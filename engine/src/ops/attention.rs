@@ -240,29 +240,38 @@ impl Attention {
     fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
         let tile = self.tile(rec.limits(), units);
         let Units { factor, shape, .. } = units;
-        let kernel = ops::AttentionMatrix {
-            q,
-            k,
-            v,
-            log_counts,
-            out,
-            queries: self.queries as u32,
-            keys: self.keys as u32,
-            sequences: self.sequences as u32,
-            heads: self.heads.count as u32,
-            dim: self.heads.dim as u32,
-            subgroups: tile.subgroups[0],
-            matrix_m: shape.m,
-            matrix_n: shape.n,
-            matrix_k: shape.k,
-            repeat_m: tile.repeats[0],
-            tile: tile.k,
-            channels: self.channels() as u32,
-            pooled: self.pool.is_some(),
-            always_rescale: rec.limits().cpu && tile.subgroups[0] > 1,
-            factor,
-        };
-        self.dispatch(rec, kernel, tile.sides(units)[0]);
+        macro_rules! dispatch {
+            ($kernel:ident) => {{
+                let kernel = ops::$kernel {
+                    q,
+                    k,
+                    v,
+                    log_counts,
+                    out,
+                    queries: self.queries as u32,
+                    keys: self.keys as u32,
+                    sequences: self.sequences as u32,
+                    heads: self.heads.count as u32,
+                    dim: self.heads.dim as u32,
+                    subgroups: tile.subgroups[0],
+                    matrix_m: shape.m,
+                    matrix_n: shape.n,
+                    matrix_k: shape.k,
+                    repeat_m: tile.repeats[0],
+                    tile: tile.k,
+                    channels: self.channels() as u32,
+                    pooled: self.pool.is_some(),
+                    always_rescale: rec.limits().cpu && tile.subgroups[0] > 1,
+                    factor,
+                };
+                self.dispatch(rec, kernel, tile.sides(units)[0]);
+            }};
+        }
+        if rec.limits().matrices.conversions && shape.n == shape.k {
+            dispatch!(AttentionConverting);
+        } else {
+            dispatch!(AttentionMatrix);
+        }
     }
 
     fn tile(&self, limits: &Limits, units: Units) -> Tile {

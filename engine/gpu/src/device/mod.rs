@@ -4,6 +4,7 @@ mod adopt;
 pub(crate) mod barrier;
 mod bfloat16;
 mod cache;
+mod cooperative_matrix2;
 pub(crate) mod failure;
 mod features;
 mod instance;
@@ -223,6 +224,10 @@ impl Shared {
         if bf16 {
             extensions.push(bfloat16::NAME.as_ptr());
         }
+        let mut conversions = cooperative_matrix2::Features::conversions();
+        if limits.matrices.conversions {
+            extensions.push(cooperative_matrix2::NAME.as_ptr());
+        }
         let mut info = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)
             .enabled_extension_names(&extensions)
@@ -235,6 +240,9 @@ impl Shared {
         }
         if bf16 {
             info = info.push_next(&mut bf16_features);
+        }
+        if limits.matrices.conversions {
+            info = info.push_next(&mut conversions);
         }
         // SAFETY: `physical` belongs to the instance and supports the features and extensions.
         let raw = unsafe { instance.raw.create_device(physical, &info, None) }

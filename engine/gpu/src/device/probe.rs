@@ -1,5 +1,5 @@
 use super::{
-    bfloat16,
+    bfloat16, cooperative_matrix2,
     features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::{Limits, Matrices, MatrixShape},
@@ -82,6 +82,7 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     let mut properties =
         vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
     let mut bf16 = bfloat16::Features::default();
+    let mut second = cooperative_matrix2::Features::default();
     // SAFETY: a plain query on a live instance.
     let extensions = unsafe { instance.enumerate_device_extension_properties(device) }.unwrap_or_default();
     let has = |name| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
@@ -92,6 +93,9 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         .push_next(&mut offered.matrix);
     if has(bfloat16::NAME) && knows(4, 313) {
         features = features.push_next(&mut bf16);
+    }
+    if has(cooperative_matrix2::NAME) && knows(4, 304) {
+        features = features.push_next(&mut second);
     }
     // SAFETY: plain queries on a live instance; structures unknown to an old device stay zero.
     let (memory, families) = unsafe {
@@ -119,7 +123,7 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         && offered.have(&MATRICES)
         // Mesa 26.1's lavapipe crashes on 8 x 8 matrices with subgroups of 16.
         && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
-    let offers = Offers { bf16: bf16.has_matrices(), i8: offered.have(&BYTES) };
+    let offers = Offers { bf16: bf16.has_matrices(), i8: offered.have(&BYTES), conversions: second.has_conversions() };
     let subgroup_control = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
     // Intel reports subgroups of 32, its size with the fewest registers per lane; kernels keep
     // tiles in registers.
@@ -183,6 +187,7 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
 struct Offers {
     bf16: bool,
     i8: bool,
+    conversions: bool,
 }
 
 /// Finds the largest matrix shape of each type; of equal ones the squarest, which has the fewest
@@ -217,6 +222,7 @@ fn find_matrices(
         f16_sums: largest(f16, f32) == largest(f16, f16),
         bf16: largest(bfloat16::COMPONENT_TYPE, f32).filter(|_| offers.bf16),
         i8: largest(Component::SINT8, i32).filter(|_| offers.i8),
+        conversions: offers.conversions,
     }
 }
 

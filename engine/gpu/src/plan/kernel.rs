@@ -36,6 +36,8 @@ pub struct Needs {
     pub half_storage: bool,
     /// Factor type of cooperative matrices.
     pub matrices: Option<Element>,
+    /// Conversions of cooperative matrices.
+    pub conversions: bool,
     /// Dot products of four signed 8-bit integers.
     pub dot_products: bool,
 }

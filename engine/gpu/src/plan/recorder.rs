@@ -182,9 +182,10 @@ impl Recorder {
 
     fn push<K: Kernel>(&mut self, kernel: K, groups: [u32; 3]) -> Recorded<'_> {
         let module = kernel.module();
-        let Needs { half_storage, matrices, dot_products } = module.needs;
+        let Needs { half_storage, matrices, conversions, dot_products } = module.needs;
         let can = (!half_storage || self.limits.half_storage)
             && (!dot_products || self.limits.dot_products)
+            && (!conversions || self.limits.matrices.conversions)
             && matrices.is_none_or(|factor| self.limits.matrices.of(factor).is_some());
         assert!(can, "{} needs what {} has not: {:?}", module.name, self.limits.name, module.needs);
         let buffers = kernel.buffers();

@@ -129,7 +129,7 @@ mod tests {
                 addresses: &[],
                 constant_ids: &[],
                 local_size: LocalSize::Fixed([64, 1, 1]),
-                needs: Needs { half_storage: false, matrices: None, dot_products: false },
+                needs: Needs { half_storage: false, matrices: None, conversions: false, dot_products: false },
             };
             &IDLE
         }

@@ -132,11 +132,32 @@ pub fn shapes() -> Area {
         [3, 33, 325].into_iter().flat_map(|keys| variants(problem(keys))).collect()
     };
     area.sweep("equal logits", 325, [NoTotal], equal);
+    let stored = || {
+        let limits: fn(&mut Limits) = |limits| limits.matrices.conversions = false;
+        let of = |dim, keys| Problem { limits, is_tame: true, ..Problem::of([2, 2], 19, keys, dim, 1.0) };
+        let logits = whole(of(64, 70), [|q| 64.0 * q, |k| 256.0 * k]);
+        let pool = Pool { side: 2, grid: [3, 5], leading: 1 };
+        let pooled = Problem { pool: Some(pool), ..of(64, pool.tokens()) };
+        [of(24, 33), of(64, 1), of(64, 325), of(128, 70), logits, pooled].into()
+    };
+    area.sweep("weights through shared memory", 325, [NeighborValue], stored);
     // CPUs get smaller tiles, which compile faster.
     let tiles = || {
-        let shapes = [(1, 3, 1, 64), (70, 70, 2, 64), (300, 33, 30, 24)];
-        let of = |(queries, keys, heads, dim)| Problem::of([1, heads], queries, keys, dim, 1.0);
-        shapes.map(|shape| Problem { limits: |limits| limits.cpu = false, is_tame: true, ..of(shape) }).into()
+        // With conversions, wide heads take minutes to compile.
+        let plain: fn(&mut Limits) = |limits| (limits.cpu, limits.matrices.conversions) = (false, false);
+        let converting: fn(&mut Limits) = |limits| limits.cpu = false;
+        let of = |limits, [heads, queries, keys, dim]: [usize; 4]| Problem {
+            limits,
+            is_tame: true,
+            ..Problem::of([1, heads], queries, keys, dim, 1.0)
+        };
+        [
+            of(converting, [1, 1, 3, 16]),
+            of(plain, [1, 1, 3, 64]),
+            of(plain, [2, 70, 70, 64]),
+            of(plain, [30, 300, 33, 24]),
+        ]
+        .into()
     };
     area.sweep("tiles of GPUs", 70, [NeighborValue], tiles);
     area

@@ -22,6 +22,9 @@ use zipsplat::{
 };
 use zipsplat_verify::noise::{self, Noise};
 
+/// Busy time after which a GPU's clock is at its highest.
+const FULL_CLOCK: Duration = Duration::from_millis(200);
+
 /// Time of a render, by pass
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -113,16 +116,20 @@ impl Render {
         let intersections = renderer.intersections();
         let mut renderer = Renderer::with_capacity(device, intersections.max(1));
         renderer.set_scene(scene)?;
-        let (mut host, mut profiles) = (Vec::new(), Vec::new());
+        let mut host = Vec::new();
         for i in 0..warmup + repeats {
             stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
             let start = Instant::now();
             renderer.render(&[camera], &request)?;
             if i >= warmup {
                 host.push(start.elapsed());
-                profiles.push(renderer.profile(&camera, &request)?);
             }
         }
+        let start = Instant::now();
+        while start.elapsed() < FULL_CLOCK {
+            renderer.profile(&camera, &request)?;
+        }
+        let profiles = (0..repeats).map(|_| renderer.profile(&camera, &request)).collect::<Result<Vec<_>>>()?;
         let cameras = vec![camera; repeats as usize];
         let mut in_flight = Duration::ZERO;
         // The first run records plans.
