@@ -15,9 +15,9 @@ layout(constant_id = 5) const uint REPEAT_M = 2; // matrices along a subgroup's 
 layout(constant_id = 6) const uint TILE = 64;    // keys in shared memory
 layout(constant_id = 7) const uint CHANNELS = 64; // of a head, padded to whole matrices
 layout(constant_id = 8) const bool POOLED = false;
-// Rescales for every tile. Lavapipe's subgroup barriers wait for the whole workgroup, so all of its
-// subgroups must execute them.
-layout(constant_id = 9) const bool ALWAYS_RESCALE = false;
+// Rescales for every tile, as lavapipe's subgroup barriers wait for the whole workgroup, and biases
+// every tile, as it compiles a second loop slowly.
+layout(constant_id = 9) const bool CPU = false;
 
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
@@ -118,10 +118,16 @@ void add_values(uint group) {
     }
 }
 
-void attend() {
+// Attends to the loaded tile, and loads the next.
+void attend(uint kv_base, uint first_key, const bool biased) {
+    barrier();
+    stage();
+    if (biased) stage_biases(first_key);
+    barrier();
+    if (first_key + TILE < keys) load(kv_base, first_key + TILE);
     [[unroll]] for (uint n = 0; n < KEYS; n++) {
-        Sums bias;
-        coopMatLoad(bias, biases, n * MATRIX_N, 0, ROW_MAJOR); // every row is the same
+        Sums bias = Sums(0);
+        if (biased) coopMatLoad(bias, biases, n * MATRIX_N, 0, ROW_MAJOR); // every row is the same
         [[unroll]] for (uint m = 0; m < REPEAT_M; m++) score[m * KEYS + n] = bias;
         [[unroll]] for (uint c = 0; c < STEPS; c++) {
             Right key;
@@ -154,16 +160,10 @@ void main() {
     }
     softmax_begin();
 
-    for (uint i = gl_LocalInvocationID.x; i < TILE; i += THREADS) biases[i] = 0.0;
+    uint unbiased = POOLED || CPU ? 0 : keys / TILE * TILE;
     load(kv_base, 0);
-    for (uint first_key = 0; first_key < keys; first_key += TILE) {
-        barrier();
-        stage();
-        if (POOLED || first_key + TILE > keys) stage_biases(first_key);
-        barrier();
-        if (first_key + TILE < keys) load(kv_base, first_key + TILE);
-        attend();
-    }
+    for (uint first_key = 0; first_key < unbiased; first_key += TILE) attend(kv_base, first_key, false);
+    for (uint first_key = unbiased; first_key < keys; first_key += TILE) attend(kv_base, first_key, true);
 
     softmax_end();
     uint strip = own + STRIP;

@@ -61,7 +61,7 @@ void rescale() {
         }
         uint rises = 0; // unlike a maximum, safe from NaN in surplus rows
         [[unroll]] for (uint i = 0; i < ELEMENTS; i++) rises += uint(row[i] - highest[m][i] > RISE);
-        if (ALWAYS_RESCALE || subgroupAny(rises > 0)) {
+        if (CPU || subgroupAny(rises > 0)) {
             across_rows(false);
             float keep[ELEMENTS];
             [[unroll]] for (uint i = 0; i < ELEMENTS; i++) {

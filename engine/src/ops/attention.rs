@@ -261,7 +261,7 @@ impl Attention {
                     tile: tile.k,
                     channels: self.channels() as u32,
                     pooled: self.pool.is_some(),
-                    always_rescale: rec.limits().cpu && tile.subgroups[0] > 1,
+                    cpu: rec.limits().cpu,
                     factor,
                 };
                 self.dispatch(rec, kernel, tile.sides(units)[0]);

@@ -143,7 +143,7 @@ pub fn shapes() -> Area {
     area.sweep("weights through shared memory", 325, [NeighborValue], stored);
     // CPUs get smaller tiles, which compile faster.
     let tiles = || {
-        // With conversions, wide heads take minutes to compile.
+        // Wide heads take minutes to compile.
         let plain: fn(&mut Limits) = |limits| (limits.cpu, limits.matrices.conversions) = (false, false);
         let converting: fn(&mut Limits) = |limits| limits.cpu = false;
         let of = |limits, [heads, queries, keys, dim]: [usize; 4]| Problem {
@@ -152,9 +152,9 @@ pub fn shapes() -> Area {
             ..Problem::of([1, heads], queries, keys, dim, 1.0)
         };
         [
-            of(converting, [1, 1, 3, 16]),
-            of(plain, [1, 1, 3, 64]),
-            of(plain, [2, 70, 70, 64]),
+            of(converting, [1, 1, 70, 8]),
+            of(plain, [1, 1, 3, 24]),
+            of(plain, [2, 70, 70, 24]),
             of(plain, [30, 300, 33, 24]),
         ]
         .into()
