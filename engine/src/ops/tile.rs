@@ -115,7 +115,7 @@ impl Tile {
         // Queries stay in registers.
         let holds = |&&[queries, ..]: &&[u32; 3]| queries as usize * channels <= 32 * Self::TUNED_CHANNELS;
         let tiles = if limits.cpu { CPU } else { GPU }.iter().filter(holds).map(tile);
-        // Mirrors kernels/ops/attention_matrix.comp.
+        // Mirrors kernels/shared/attention_matrix.glsl.
         let shared_bytes = |tile: &Self| {
             let (channels, rows) = (channels as u32, tile.repeats[0] * shape.m);
             let (staged, weights) = (2 * tile.k * (channels / 8 + 1), rows * (tile.k / 8 + 1));
