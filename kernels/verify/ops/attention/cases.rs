@@ -140,7 +140,7 @@ pub fn shapes() -> Area {
         let pooled = Problem { pool: Some(pool), ..of(64, pool.tokens()) };
         [of(24, 33), of(64, 1), of(64, 325), of(128, 70), logits, pooled].into()
     };
-    area.sweep("weights through shared memory", 325, [NeighborValue], stored);
+    area.sweep("weights through shared memory", 325, [NeighborHead], stored);
     // CPUs get smaller tiles, which compile faster.
     let tiles = || {
         // Wide heads take minutes to compile.
