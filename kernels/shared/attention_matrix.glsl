@@ -15,8 +15,8 @@ layout(constant_id = 5) const uint REPEAT_M = 2; // matrices along a subgroup's 
 layout(constant_id = 6) const uint TILE = 64;    // keys in shared memory
 layout(constant_id = 7) const uint CHANNELS = 64; // of a head, padded to whole matrices
 layout(constant_id = 8) const bool POOLED = false;
-// Rescales for every tile, as lavapipe's subgroup barriers wait for the whole workgroup, and biases
-// every tile, as it compiles a second loop slowly.
+// Rescales and biases every tile: lavapipe's subgroup barriers wait for the whole workgroup, and it
+// compiles a second loop slowly.
 layout(constant_id = 9) const bool CPU = false;
 
 const uint THREADS = gl_WorkGroupSize.x;

@@ -52,7 +52,7 @@ void put_weights(uint m, uint group) {
 }
 #endif
 
-// Lets rows follow their maxima.
+// Rescales the sums of rows whose maximum rose.
 void rescale() {
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         row = score[m * KEYS];

@@ -49,11 +49,11 @@ pub fn devices(session: &mut Session<'_>) -> Result<()> {
 
 fn matrices(limits: &Limits) -> String {
     let sides = |shape: MatrixShape| format!("{} x {} x {}", shape.m, shape.n, shape.k);
-    let Matrices { f16, bf16, i8, .. } = limits.matrices;
+    let Matrices { f16, bf16, i8, conversions, .. } = limits.matrices;
     let of_subgroups = [("f16", f16), ("bf16", bf16), ("i8", i8)]
         .into_iter()
         .filter_map(|(factor, shape)| Some(format!("{factor} {}", sides(shape?))));
-    let all: Vec<_> = of_subgroups.collect();
+    let all: Vec<_> = of_subgroups.chain(conversions.then(|| "conversions".into())).collect();
     if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
