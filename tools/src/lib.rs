@@ -58,7 +58,7 @@ use zipsplat::Error;
     version,
     after_help = "Examples:
   zipsplat reconstruct photos/ -o scene.ply
-  zipsplat reconstruct photos/ --cameras colmap --refine -o sharp.ply
+  zipsplat reconstruct photos/ --refine -o sharp.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat view scene.ply -o scene.html
   zipsplat doctor list

@@ -30,7 +30,7 @@ use zipsplat::{
 };
 
 /// Requests estimation, unless a folder of this name holds a model.
-const COLMAP: &str = "colmap";
+pub const COLMAP: &str = "colmap";
 /// Earlier spelling of [`COLMAP`].
 const FIND: &str = "find";
 const DA3: &str = "da3";

@@ -6,7 +6,7 @@ mod place;
 mod work;
 
 pub use colmap::Searching;
-pub use find::{EstimatedCameras, Finder, Finding, KnownCameras};
+pub use find::{COLMAP, EstimatedCameras, Finder, Finding, KnownCameras};
 pub use paths::{CameraArgs, to_scene};
 pub use place::{ModelOption, Place, path_from};
 pub use work::lenses;

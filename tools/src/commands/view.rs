@@ -66,7 +66,7 @@ pub struct View {
     #[arg(long, requires = "output")]
     lossless: bool,
     /// Cameras to show, in the first scene's world, as for render --cameras; for photos, their
-    /// known cameras, or colmap to estimate them
+    /// known cameras, or colmap to estimate them [default with --refine: colmap]
     #[arg(long, value_name = "PATH|colmap")]
     cameras: Option<PathBuf>,
     /// Folder of photos for the overlay [default: that of the camera file; with -o, none]. A

@@ -1,6 +1,6 @@
 use super::{Initialization, exposure::Exposure};
-use crate::{antialiasing::Antialiasing, known_depth::KnownDepth, options::Size, session::Session};
-use clap::{Arg, ArgGroup, Args, ValueEnum};
+use crate::{antialiasing::Antialiasing, cameras::COLMAP, known_depth::KnownDepth, options::Size, session::Session};
+use clap::{Arg, ArgGroup, Args, ValueEnum, builder::ArgPredicate};
 use std::{
     ffi::OsString,
     fmt::{self, Display, Formatter},
@@ -161,8 +161,9 @@ pub struct RefineArgs {
     pub settings: RefineSettings,
 }
 
+/// Refinement needs cameras: COLMAP estimates them if none are named.
 pub fn with_cameras(arg: Arg) -> Arg {
-    if arg.get_id() == "refine" { arg.requires("cameras") } else { arg }
+    if arg.get_id() == "cameras" { arg.default_value_if("refine", ArgPredicate::IsPresent, COLMAP) } else { arg }
 }
 
 fn parse_count(text: &str) -> Result<usize, String> {

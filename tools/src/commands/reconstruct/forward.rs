@@ -70,8 +70,8 @@ impl Forward {
             );
         } else if command.weights.is_builtin() && poses.is_none() && photos.len() > 1 {
             session.note(
-                "the model that is built in is a demonstration: several photos without --cameras give colors and coarse shapes; \
-                 one photo, or cameras (--cameras colmap finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
+                "the model that is built in is a demonstration: several photos without cameras give colors and coarse shapes; \
+                 --refine, which finds cameras with COLMAP, gives sharp scenes, the paper's weights (`zipsplat weights get zipsplat`) better ones at once",
             );
         }
         Ok(Planned { command, checkpoint, posed, size })

@@ -62,9 +62,9 @@ const REFINEMENT: &str = "Refinement";
 #[derive(Args)]
 #[command(mut_args(adapted), after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
-  zipsplat reconstruct photos/ --cameras transforms.json --ratio 0.5 -o scene.ply
+  zipsplat reconstruct photos/ --refine -o sharp.ply
   zipsplat reconstruct photos/ --cameras transforms.json --refine -o sharp.ply
-  zipsplat reconstruct photos/ --cameras colmap --refine -o sharp.ply
+  zipsplat reconstruct photos/ --cameras transforms.json --ratio 0.5 -o scene.ply
   zipsplat reconstruct clip.mp4 --views 24 --cameras colmap --cameras-out cameras.json -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
   zipsplat reconstruct photos/ --weights da3-base.safetensors --ratio 0.25 -o scene.ply
@@ -94,7 +94,7 @@ pub struct Reconstruct {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     views: Option<u32>,
     /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; colmap: estimated
-    /// by COLMAP; da3, vggt: by Depth Anything 3, VGGT
+    /// by COLMAP; da3, vggt: by Depth Anything 3, VGGT [default with --refine: colmap]
     #[arg(long, help_heading = CAMERAS, value_name = "PATH|colmap|da3|vggt")]
     cameras: Option<PathBuf>,
     #[command(flatten, next_help_heading = CAMERAS)]
