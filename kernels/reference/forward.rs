@@ -27,18 +27,16 @@ pub struct Tokens {
     pub layers: Vec<Vec<f64>>,
     /// `[views * patches, color_width]`.
     pub color: Vec<f64>,
-    /// Pooling of fusion keys.
-    pub pool: Pool,
     /// `bb/*`, `prep/*` and `color/tokens`.
     pub taps: Taps,
 }
 
-/// Computes tokens of images and known cameras; cross-view attention pools `side` x `side` patches.
+/// Computes tokens of images and known cameras; the backbone's attention across views pools `side` x
+/// `side` patches.
 pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usize) -> Tokens {
     let architecture = &model.architecture;
     let mut taps = Taps::new();
-    let pool = Pool { side, grid: images.grid(architecture.patch), leading: 0 };
-    let features = backbone(model, images, priors, pool, &mut taps);
+    let features = backbone(model, images, priors, side, &mut taps);
     let layers: Vec<Vec<f64>> =
         features.iter().enumerate().map(|(layer, feature)| prepare(model, feature, layer)).collect();
     for (j, (feature, layer)) in features.iter().zip(&layers).enumerate() {
@@ -47,14 +45,14 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: us
     }
     let color = model.scope("color_embed").linear("proj", &patchify(images, architecture.patch));
     taps.insert("color/tokens".into(), color.clone());
-    Tokens { layers, color, pool, taps }
+    Tokens { layers, color, taps }
 }
 
 /// `[views * patches, 2 width]` per output layer, deepest first.
-fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool, taps: &mut Taps) -> Vec<Vec<f64>> {
+fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usize, taps: &mut Taps) -> Vec<Vec<f64>> {
     let architecture = &model.architecture;
     if model.scope("backbone.aggregator").has("camera_token") {
-        return vggt::features(model, images, pool.side, taps);
+        return vggt::features(model, images, side, taps);
     }
     let weights = model.scope("backbone.backbone");
     let [rows, columns] = images.grid(architecture.patch);
@@ -79,7 +77,7 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool
             eps: BACKBONE_EPS,
             sequences,
             positions: (i >= architecture.rope_start).then_some(positions.as_slice()),
-            pool: (global && pool.side > 1).then_some(Pool { leading: 1, ..pool }),
+            pool: (global && side > 1).then_some(Pool { side, grid: [rows, columns], leading: 1 }),
         };
         x = block(&weights.scope(&format!("blocks.{i}")), &x, options);
         taps.insert(format!("bb/block{i}"), x.clone());
@@ -117,7 +115,7 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     for (l, layer) in tokens.layers.iter().enumerate() {
         let queries = gather_rows(layer, width, nearest);
         let weights = model.scope(&format!("cross_attention.{l}"));
-        let delta = cross_attention(&weights, &queries, layer, architecture.fusion_heads, Some(tokens.pool));
+        let delta = cross_attention(&weights, &queries, layer, architecture.fusion_heads);
         scene = add(&scene, &delta);
         taps.insert(format!("ca{l}_delta"), delta);
         taps.insert(format!("scene_ca{l}"), scene.clone());
@@ -127,7 +125,7 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     }
     let queries = gather_rows(&tokens.color, color_width, nearest);
     let weights = model.scope("color_cross_attention");
-    let delta = cross_attention(&weights, &queries, &tokens.color, architecture.color_heads, None);
+    let delta = cross_attention(&weights, &queries, &tokens.color, architecture.color_heads);
     let color = add(&queries, &delta);
     let head = model.scope("gaussian_head.gaussian_head");
     let raw = head.linear("1", &mlp(&head.scope("0"), &join_columns(&scene, width, &color, color_width)));

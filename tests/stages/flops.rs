@@ -32,7 +32,7 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
     rows.map(|row| row.flops as f64).sum()
 }
 
-/// 324 patches pool to 81 keys, plus a camera token in global blocks.
+/// 324 patches pool to 81 keys, plus a camera token. Fusion is not pooled.
 #[test]
 fn pooled_keys_take_as_much_less() {
     let (limits, architecture) = (Limits::default(), Architecture::named("vits").expect("a variant"));
@@ -51,8 +51,8 @@ fn pooled_keys_take_as_much_less() {
     let blocks = (architecture.alt_start..architecture.depth).filter(|block| block % 2 == 1).count();
     let each = 4.0 * architecture.width as f64 * tokens * (tokens - 24.0 * 82.0);
     assert_eq!(before[0] - after[0], blocks as f64 * each);
-    assert_eq!(4.0 * after[1], before[1]);
-    assert_eq!(before[2] - after[2], before[0] - after[0] + before[1] - after[1]);
+    assert_eq!(after[1], before[1]);
+    assert_eq!(before[2] - after[2], before[0] - after[0]);
     assert_eq!((all.plan.flops() - pooled.plan.flops()) as f64, before[2] - after[2]);
     assert!(pooled.bytes() <= all.bytes());
 }

@@ -1,7 +1,7 @@
 //! A cross-attention block that returns a residual.
 
 use super::{
-    Attention, AttentionKernel, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Part, Pool, Rows,
+    Attention, AttentionKernel, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Part, Rows,
     block::{Mlp, QK_NORM_EPS},
     row_chunks,
 };
@@ -41,22 +41,20 @@ impl CrossBlock {
     }
 
     /// Returns d1 + d2 with d1 = gamma1 * attention and d2 = gamma2 * mlp(norm(queries + d1)).
-    pub fn record(&self, rec: &mut Recorder, queries: Rows, keys: Rows, pool: Option<Pool>) -> Rows {
+    pub fn record(&self, rec: &mut Recorder, queries: Rows, keys: Rows) -> Rows {
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), queries.width);
-        let count = Pool::keys_of(pool, keys.count);
-        let attention = Attention { heads, sequences: 1, queries: queries.count, keys: count, pool, kernel };
-        let tensors @ [q, k, v, log_counts] = attention.tensors(rec);
+        let attention = Attention { heads, sequences: 1, queries: queries.count, keys: keys.count, pool: None, kernel };
+        let tensors @ [q, k, v, _] = attention.tensors(rec);
         for part in row_chunks(rec, queries.count, &[queries.row_bytes()]) {
             let normed = self.norm_q.apply(rec, queries.part(part.clone()), self.q_proj.element());
             let projected = self.q_proj.apply(rec, "q", normed, output, Epilogue::default());
             let what = Part { norm: Some(self.q_norm), scale: attention.scale(), ..Part::default() };
             attention.split(rec, projected, part.start, what, q);
         }
-        for part in Pool::chunks(pool, rec, keys.count, &[keys.row_bytes(), output.bytes() * 2 * width]) {
+        for part in row_chunks(rec, keys.count, &[keys.row_bytes(), output.bytes() * 2 * width]) {
             let normed = self.norm_kv.apply(rec, keys.part(part.clone()), self.kv_proj.element());
             let projected = self.kv_proj.apply(rec, "kv", normed, output, Epilogue::default());
-            let log_counts = Some(log_counts);
-            let of_keys = Part { norm: Some(self.k_norm), keys: true, log_counts, ..Part::default() };
+            let of_keys = Part { norm: Some(self.k_norm), keys: true, ..Part::default() };
             attention.split(rec, projected.columns(0, width), part.start, of_keys, k);
             attention.split(rec, projected.columns(width, width), part.start, Part::default(), v);
         }

@@ -2,7 +2,7 @@ use super::{BlockLayout, BlockOptions, MAX_VIEWS, SelectedTokens, Shape};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
-    ops::{Arithmetic, ParameterLayout, Pool, Rows, join_columns},
+    ops::{Arithmetic, ParameterLayout, Rows, join_columns},
     stages::{Architecture, Stages, ViewGrid, render::SceneTensors},
     types::Scene,
     weights::Checkpoint,
@@ -197,8 +197,7 @@ impl Network {
         let FeatureTensors { images, layers } = features;
         let selected = shape.kept.record(rec, self.parameters.nearest(), layers[0], grid, tokens);
         let chosen = selected.tensor().map(|indices| (indices, tokens));
-        let pool = Pool::of(shape.kv_pool, [grid.rows, grid.columns], 0);
-        let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen, pool));
+        let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
         (Choice { scene_scale: None, selected }, [scene, colors])
     }

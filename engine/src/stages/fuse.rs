@@ -4,7 +4,7 @@
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
-    ops::{Block, CrossBlock, Ffn, Heads, ParameterLayout, Pool, Rows, Sequences, add, gather_rows},
+    ops::{Block, CrossBlock, Ffn, Heads, ParameterLayout, Rows, Sequences, add, gather_rows},
     stages::Architecture,
 };
 
@@ -27,13 +27,7 @@ impl Fuse {
     }
 
     /// `layers` are deepest first; fuses `count` tokens `chosen`, or all.
-    pub fn record(
-        &self,
-        rec: &mut Recorder,
-        layers: &[Rows],
-        chosen: Option<(Tensor, usize)>,
-        pool: Option<Pool>,
-    ) -> Rows {
+    pub fn record(&self, rec: &mut Recorder, layers: &[Rows], chosen: Option<(Tensor, usize)>) -> Rows {
         let pick = |rec: &mut Recorder, layer: Rows| match chosen {
             Some((indices, count)) => gather_rows(rec, layer, indices, count),
             None => layer,
@@ -44,7 +38,7 @@ impl Fuse {
         rec.observe("scene_init", scene.tensor);
         for (l, ((cross, own), layer)) in self.cross.iter().zip(&self.own).zip(layers).enumerate() {
             let queries = if l == 0 { first } else { pick(rec, *layer) };
-            let delta = rec.scope("cross", |rec| cross.record(rec, queries, *layer, pool));
+            let delta = rec.scope("cross", |rec| cross.record(rec, queries, *layer));
             rec.observe(&format!("ca{l}_delta"), delta.tensor);
             add(rec, scene, delta);
             rec.observe(&format!("scene_ca{l}"), scene.tensor);

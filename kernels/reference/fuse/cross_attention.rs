@@ -1,14 +1,14 @@
 use crate::backbone::block::{EPS, head_norm, mlp};
 use crate::model::Scope;
 use crate::ops::add::add;
-use crate::ops::attention::attention_to_means;
+use crate::ops::attention::attention;
 use crate::ops::linear::layer_scale;
-use crate::ops::split_heads::{Part, Pool, split_heads};
+use crate::ops::split_heads::{Part, split_heads};
 
 /// Computes the residual of `queries [n, width]` attending to `keys [m, width]`: `d1 = gamma1 *
 /// attention(norm_q(queries), norm_kv(keys))`, `d2 = gamma2 * mlp(norm2(queries + d1))`; returns
 /// `d1 + d2`.
-pub fn cross_attention(weights: &Scope, queries: &[f64], keys: &[f64], heads: usize, pool: Option<Pool>) -> Vec<f64> {
+pub fn cross_attention(weights: &Scope, queries: &[f64], keys: &[f64], heads: usize) -> Vec<f64> {
     let parts = weights.scope("attn");
     let width = parts.get("proj.bias").len();
     let head_dim = width / heads;
@@ -18,9 +18,7 @@ pub fn cross_attention(weights: &Scope, queries: &[f64], keys: &[f64], heads: us
     let q = split_heads(&q, width, part(0, head_norm(&parts, "q_norm")));
     let k = split_heads(&kv, 2 * width, part(0, head_norm(&parts, "k_norm")));
     let v = split_heads(&kv, 2 * width, part(width, None));
-    let pool = pool.unwrap_or(Pool { side: 1, grid: [keys.len() / width, 1], leading: 0 });
-    let ((k, counts), (v, _)) = (pool.means(&k, width), pool.means(&v, width));
-    let mixed = attention_to_means(&q, [&k, &v], &counts, heads, head_dim);
+    let mixed = attention(&q, &k, &v, heads, head_dim);
     let attended = layer_scale(&parts.linear("proj", &mixed), weights.get("ls1.gamma"));
     let hidden = mlp(&weights.scope("mlp"), &weights.layer_norm("norm2", &add(queries, &attended), EPS));
     add(&attended, &layer_scale(&hidden, weights.get("ls2.gamma")))

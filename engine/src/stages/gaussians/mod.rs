@@ -43,7 +43,7 @@ impl Gaussians {
                 Some((indices, count)) => gather_rows(rec, tokens, indices, count),
                 None => tokens,
             };
-            let delta = self.color_cross.record(rec, queries, tokens, None);
+            let delta = self.color_cross.record(rec, queries, tokens);
             add(rec, delta, queries);
             rec.observe("color_feats", delta.tensor);
             delta
