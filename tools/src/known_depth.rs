@@ -11,6 +11,11 @@ use crate::{
     session::Session,
     stamp::{digest, stamp},
 };
+use exr::{
+    meta::MetaData,
+    prelude as exr_image,
+    prelude::{ReadChannels, ReadLayers},
+};
 use safetensors::SafeTensors;
 use serde_json::Value;
 use std::{
@@ -23,7 +28,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     refine::{DepthKind, Photos},
-    types::{Camera, Image, Intrinsics, named_after, poses::CaptureView},
+    types::{Camera, Image, Intrinsics, poses::CaptureView},
     weights::DepthHeads,
 };
 
@@ -31,6 +36,10 @@ use zipsplat::{
 pub const VALUES: &str = "depths.safetensors";
 /// Metadata of [`VALUES`]: the photos' names without extension.
 pub const PHOTOS: &str = "zipsplat.photos";
+
+/// Extensions of depth files.
+const FILES: [&str; 3] = ["npy", "exr", "png"];
+const MAX_PIXELS: usize = 1 << 28;
 
 pub struct KnownDepth {
     pub kind: DepthKind,
@@ -71,7 +80,7 @@ impl KnownDepth {
             (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
             (true, false) => (
                 DepthKind::Metric,
-                frames.iter().map(|frame| values_file(source, &frame.name).map(Source::File)).collect(),
+                frames.iter().map(|frame| values_file(source, &frame.name, &FILES).map(Source::File)).collect(),
             ),
             _ if source.extension().is_some_and(|extension| extension == "json") => {
                 (DepthKind::Metric, listed(source, frames)?)
@@ -81,9 +90,7 @@ impl KnownDepth {
         let known = sources.iter().flatten().count();
         if known == 0 {
             let found = format!("none for {} and the other photos", photos::names(&files[..files.len().min(1)]));
-            let expected =
-                format!("NAME.npy or NAME.png for a photo NAME, {VALUES} of these photos, or depth_file_path");
-            return Err(Error::argument(format!("depth in {}", source.display()), found, expected));
+            return Err(absent(source, found));
         }
         if known < files.len() {
             let without = files.iter().zip(&sources).filter(|(_, source)| source.is_none());
@@ -151,20 +158,28 @@ fn listed(file: &Path, frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     Ok(frames.iter().map(path).collect())
 }
 
-pub fn read_npy(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
+fn absent(source: &Path, found: String) -> Error {
+    let expected =
+        format!("NAME.npy, NAME.exr or NAME.png for a photo NAME, {VALUES} of these photos, or depth_file_path");
+    Error::argument(format!("depth in {}", source.display()), found, expected)
+}
+
+pub fn read(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     if frame.lens.is_some() {
         let found = format!("{}, whose lens distorts", frame.name);
         return Err(Error::argument("--from-depth", found, "photos of a pinhole camera"));
     }
-    let [long, short] = named_after(folder, Path::new(&frame.name), "npy");
-    read_file(if long.is_file() { &long } else { &short }, &frame.camera.intrinsics, &camera.intrinsics, unit)
+    let file = values_file(folder, &frame.name, &FILES);
+    let file = file.ok_or_else(|| absent(folder, format!("none for {}", frame.name)))?;
+    read_file(&file, &frame.camera.intrinsics, &camera.intrinsics, unit)
 }
 
 /// Reads the depth of a whole photo, nearest sampled for a camera and divided by `unit`.
 fn read_file(file: &Path, photo: &Intrinsics, camera: &Intrinsics, unit: f64) -> Result<Vec<f32>> {
-    let ([width, height], values) = match file.extension().is_some_and(|extension| extension == "png") {
-        true => read_png(file)?,
-        false => npy::read(file)?,
+    let ([width, height], values) = match file.extension().and_then(|extension| extension.to_str()) {
+        Some("png") => read_png(file)?,
+        Some("exr") => read_exr(file)?,
+        _ => npy::read(file)?,
     };
     check_shape(file, [width, height], photo)?;
     if let Some(at) = values.iter().position(|value| !(value.is_finite() && *value >= 0.0)) {
@@ -200,10 +215,40 @@ fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
     if (color, bits) != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
         return Err(malformed(format!("{color:?} of {} bits", bits as u8)));
     }
-    let mut bytes = vec![0; reader.output_buffer_size().ok_or_else(|| malformed("a picture too large".into()))?];
+    let size = reader.output_buffer_size().filter(|bytes| *bytes <= 2 * MAX_PIXELS);
+    let mut bytes = vec![0; size.ok_or_else(|| malformed("a picture too large".into()))?];
     let info = reader.next_frame(&mut bytes).map_err(|error| malformed(error.to_string()))?;
     let level = |two: &[u8]| f32::from(u16::from_be_bytes([two[0], two[1]])) / DEPTH_LEVELS;
     Ok(([info.width, info.height], bytes[..info.buffer_size()].chunks_exact(2).map(level).collect()))
+}
+
+/// Reads the channel Z, Y, R or V, or the only one, of the first image of a file.
+fn read_exr(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
+    let malformed = |found: String| {
+        let expected = "an OpenEXR image with one channel, or with one named Z, Y, R or V";
+        Error::format(file, None, format!("found {found}, expected {expected}"))
+    };
+    let unreadable = |error| match error {
+        exr::error::Error::Io(error) => Error::io(file, error),
+        error => malformed(error.to_string()),
+    };
+    let header = MetaData::read_from_file(file, false).map_err(unreadable)?.headers.swap_remove(0);
+    let channels = header.channels.list;
+    let named = |name: &&str| channels.iter().position(|channel| channel.name.eq(name));
+    let chosen = ["Z", "Y", "R", "V"].iter().find_map(named).or((channels.len() == 1).then_some(0));
+    let chosen = chosen.filter(|i| channels[*i].sampling == exr_image::Vec2(1, 1)).ok_or_else(|| {
+        let names: Vec<String> = channels.iter().map(|channel| channel.name.to_string()).collect();
+        malformed(format!("channels {}", names.join(", ")))
+    })?;
+    let exr_image::Vec2(width, height) = header.layer_size;
+    if width.saturating_mul(height) > MAX_PIXELS {
+        return Err(malformed(format!("{width}x{height}")));
+    }
+    let reader = exr_image::read().no_deep_data().largest_resolution_level().all_channels();
+    let image = reader.first_valid_layer().all_attributes().from_file(file).map_err(unreadable)?.layer_data;
+    let values = image.channel_data.list.get(chosen).filter(|_| image.size == header.layer_size);
+    let values = values.ok_or_else(|| malformed("deep data".into()))?.sample_data.values_as_f32().collect();
+    Ok(([width as u32, height as u32], values))
 }
 
 /// Nearest pixels of a map of intrinsics `from` for each of `to`, divided by `unit`; 0 outside.

@@ -163,6 +163,9 @@ impl State<'_> {
 }
 
 impl RefineCheckpoint {
+    /// Usual time between two writes.
+    pub const INTERVAL: Duration = Duration::from_secs(60);
+
     pub(super) fn read(&self) -> Result<Option<Vec<u8>>> {
         if !self.path.exists() {
             return Ok(None);

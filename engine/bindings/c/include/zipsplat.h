@@ -1017,6 +1017,8 @@ ZS_ENUM(zs_stop_reason) {
     ZS_STOP_REASON_STOPPED = 1,
     // The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
+    // The checkpoint could not be written.
+    ZS_STOP_REASON_UNSAVED = 3,
 };
 
 // Options of a refinement.
@@ -1062,6 +1064,9 @@ typedef struct zs_refine_options {
     // Initial weight of depth, which falls to a hundredth; 0 is the default of the kind.
     float depth_weight;
     uint32_t reserved;
+    // File that keeps the state, written each minute and after ZS_STOP or ZS_CANCEL, or NULL. The
+    // same call continues from it; delete it once the scene is saved.
+    const char *checkpoint;
 } zs_refine_options;
 
 // Result of a refinement.
