@@ -128,7 +128,7 @@ fn unusable_depth_is_named() {
     save_levels(&folder.path("other/000.png"), [30, 28], &[1.0; 30 * 28]);
     fails("--depth-loss @/other", &["000.png", "30x28", "42x28"]);
     image::GrayImage::new(42, 28).save(folder.path("other/000.png")).expect("written");
-    fails("--depth-loss @/other", &["000.png", "Grayscale of 8 bits", "16-bit"]);
+    fails("--depth-loss @/other", &["000.png", "L8", "16-bit"]);
     std::fs::remove_file(folder.path("other/000.png")).expect("removed");
     let zeros = || FlatSamples::F32(vec![0.0; 42 * 28]);
     save_exr(&folder.path("other/000.exr"), [("B", zeros()), ("G", zeros())]);
@@ -138,7 +138,7 @@ fn unusable_depth_is_named() {
     let whole = folder.read("other/000.exr");
     for length in [0, 4, 100, whole.len() - 1] {
         folder.write("other/000.exr", &whole[..length]);
-        fails("--depth-loss @/other", &["000.exr", "expected an OpenEXR image"]);
+        fails("--depth-loss @/other", &["000.exr", "an OpenEXR image"]);
     }
     folder.run(&format!("reconstruct {PHOTOS} --depth-loss @/place/depth -o @/scene.ply")).fails_usage();
     folder.run(&format!("refine {PHOTOS} --init points --depth-weight 1 -o @/scene.ply")).fails_usage();

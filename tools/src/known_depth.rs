@@ -12,16 +12,16 @@ use crate::{
     stamp::{digest, stamp},
 };
 use exr::{
+    math::Vec2,
     meta::MetaData,
-    prelude as exr_image,
     prelude::{ReadChannels, ReadLayers},
 };
+use image::DynamicImage;
 use safetensors::SafeTensors;
 use serde_json::Value;
 use std::{
     borrow::Cow,
-    fs::File,
-    io::BufReader,
+    fmt::Display,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -71,10 +71,7 @@ impl KnownDepth {
         cameras: &[Camera],
         unit: f64,
     ) -> Result<Self> {
-        if let Some(frame) = frames.iter().find(|frame| frame.lens.is_some()) {
-            let found = format!("{}, whose lens distorts", frame.name);
-            return Err(Error::argument("--depth-loss", found, "photos of a pinhole camera"));
-        }
+        frames.iter().try_for_each(|frame| check_lens("--depth-loss", frame))?;
         let file = source.join(VALUES);
         let (kind, sources) = match (source.is_dir(), file.is_file()) {
             (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
@@ -164,11 +161,13 @@ fn absent(source: &Path, found: String) -> Error {
     Error::argument(format!("depth in {}", source.display()), found, expected)
 }
 
+fn check_lens(option: &str, frame: &CaptureView) -> Result<()> {
+    let found = format!("{}, whose lens distorts", frame.name);
+    frame.lens.map_or(Ok(()), |_| Err(Error::argument(option, found, "photos of a pinhole camera")))
+}
+
 pub fn read(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
-    if frame.lens.is_some() {
-        let found = format!("{}, whose lens distorts", frame.name);
-        return Err(Error::argument("--from-depth", found, "photos of a pinhole camera"));
-    }
+    check_lens("--from-depth", frame)?;
     let file = values_file(folder, &frame.name, &FILES);
     let file = file.ok_or_else(|| absent(folder, format!("none for {}", frame.name)))?;
     read_file(&file, &frame.camera.intrinsics, &camera.intrinsics, unit)
@@ -199,56 +198,45 @@ fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Re
     Err(Error::argument(file.display().to_string(), format!("{width}x{height}"), expected))
 }
 
+fn malformed(file: &Path, found: impl Display, expected: &str) -> Error {
+    Error::format(file, None, format!("found {found}, expected {expected}"))
+}
+
 /// Reads 16-bit levels, as `render --depth` and many sensors write them: millimeters, if the unit
 /// is a meter.
 fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
-    let malformed = |found: String| {
-        Error::format(
-            file,
-            None,
-            format!("found {found}, expected a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit"),
-        )
+    let found = match image::open(file) {
+        Ok(DynamicImage::ImageLuma16(picture)) => {
+            let level = |level: &u16| f32::from(*level) / DEPTH_LEVELS;
+            return Ok((picture.dimensions().into(), picture.iter().map(level).collect()));
+        }
+        Ok(picture) => format!("{:?}", picture.color()),
+        Err(error) => error.to_string(),
     };
-    let opened = File::open(file).map_err(|error| Error::io(file, error))?;
-    let mut reader = png::Decoder::new(BufReader::new(opened)).read_info().map_err(|e| malformed(e.to_string()))?;
-    let (color, bits) = reader.output_color_type();
-    if (color, bits) != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
-        return Err(malformed(format!("{color:?} of {} bits", bits as u8)));
-    }
-    let size = reader.output_buffer_size().filter(|bytes| *bytes <= 2 * MAX_PIXELS);
-    let mut bytes = vec![0; size.ok_or_else(|| malformed("a picture too large".into()))?];
-    let info = reader.next_frame(&mut bytes).map_err(|error| malformed(error.to_string()))?;
-    let level = |two: &[u8]| f32::from(u16::from_be_bytes([two[0], two[1]])) / DEPTH_LEVELS;
-    Ok(([info.width, info.height], bytes[..info.buffer_size()].chunks_exact(2).map(level).collect()))
+    Err(malformed(file, found, &format!("a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit")))
 }
 
 /// Reads the channel Z, Y, R or V, or the only one, of the first image of a file.
 fn read_exr(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
-    let malformed = |found: String| {
-        let expected = "an OpenEXR image with one channel, or with one named Z, Y, R or V";
-        Error::format(file, None, format!("found {found}, expected {expected}"))
-    };
-    let unreadable = |error| match error {
-        exr::error::Error::Io(error) => Error::io(file, error),
-        error => malformed(error.to_string()),
-    };
-    let header = MetaData::read_from_file(file, false).map_err(unreadable)?.headers.swap_remove(0);
-    let channels = header.channels.list;
+    let unusable = |found: String| malformed(file, found, "an OpenEXR image of one channel, or of Z, Y, R or V");
+    let failed = |error: exr::error::Error| unusable(error.to_string());
+    let mut headers = MetaData::read_from_file(file, false).map_err(failed)?.headers.into_iter();
+    let header = headers.next().ok_or_else(|| unusable("no image".into()))?;
+    let (channels, Vec2(width, height)) = (header.channels.list, header.layer_size);
     let named = |name: &&str| channels.iter().position(|channel| channel.name.eq(name));
     let chosen = ["Z", "Y", "R", "V"].iter().find_map(named).or((channels.len() == 1).then_some(0));
-    let chosen = chosen.filter(|i| channels[*i].sampling == exr_image::Vec2(1, 1)).ok_or_else(|| {
+    let chosen = chosen.filter(|i| channels[*i].sampling == Vec2(1, 1)).ok_or_else(|| {
         let names: Vec<String> = channels.iter().map(|channel| channel.name.to_string()).collect();
-        malformed(format!("channels {}", names.join(", ")))
+        unusable(format!("channels {}", names.join(", ")))
     })?;
-    let exr_image::Vec2(width, height) = header.layer_size;
     if width.saturating_mul(height) > MAX_PIXELS {
-        return Err(malformed(format!("{width}x{height}")));
+        return Err(unusable(format!("{width}x{height} pixels")));
     }
-    let reader = exr_image::read().no_deep_data().largest_resolution_level().all_channels();
-    let image = reader.first_valid_layer().all_attributes().from_file(file).map_err(unreadable)?.layer_data;
-    let values = image.channel_data.list.get(chosen).filter(|_| image.size == header.layer_size);
-    let values = values.ok_or_else(|| malformed("deep data".into()))?.sample_data.values_as_f32().collect();
-    Ok(([width as u32, height as u32], values))
+    let reader = exr::prelude::read().no_deep_data().largest_resolution_level().all_channels();
+    let layer = reader.first_valid_layer().all_attributes().from_file(file).map_err(failed)?.layer_data;
+    let values = layer.channel_data.list.get(chosen).filter(|_| layer.size == header.layer_size);
+    let values = values.ok_or_else(|| unusable("several images".into()))?.sample_data.values_as_f32();
+    Ok(([width as u32, height as u32], values.collect()))
 }
 
 /// Nearest pixels of a map of intrinsics `from` for each of `to`, divided by `unit`; 0 outside.
@@ -273,9 +261,7 @@ fn pixels(axis: usize, of: &Intrinsics, from: &Intrinsics) -> Vec<Option<usize>>
 /// Reads the photos' depth that `depth` wrote.
 fn read_values(file: &Path, photos: &[PathBuf], frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     let bytes = std::fs::read(file).map_err(|error| Error::io(file, error))?;
-    let malformed = |found: String| {
-        Error::format(file, None, format!("found {found}, expected depth [photos, height, width] of `zipsplat depth`"))
-    };
+    let malformed = |found: String| malformed(file, found, "depth [photos, height, width] of `zipsplat depth`");
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| malformed(error.to_string()))?;
     let names = header.metadata().as_ref().and_then(|metadata| metadata.get(PHOTOS));
     let names: Vec<String> =
