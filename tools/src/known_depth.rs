@@ -11,12 +11,7 @@ use crate::{
     session::Session,
     stamp::{digest, stamp},
 };
-use exr::{
-    math::Vec2,
-    meta::MetaData,
-    prelude::{ReadChannels, ReadLayers},
-};
-use image::DynamicImage;
+use exr::prelude::{MetaData, ReadChannels, ReadLayers, Vec2};
 use safetensors::SafeTensors;
 use serde_json::Value;
 use std::{
@@ -37,8 +32,7 @@ pub const VALUES: &str = "depths.safetensors";
 /// Metadata of [`VALUES`]: the photos' names without extension.
 pub const PHOTOS: &str = "zipsplat.photos";
 
-/// Extensions of depth files.
-const FILES: [&str; 3] = ["npy", "exr", "png"];
+const EXTENSIONS: [&str; 3] = ["npy", "exr", "png"];
 const MAX_PIXELS: usize = 1 << 28;
 
 pub struct KnownDepth {
@@ -62,8 +56,8 @@ enum Source {
 
 impl KnownDepth {
     /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights
-    /// of a depth network that predicts it. `cameras` are those of the refinement's photos, in a
-    /// scene whose unit has the length `unit`.
+    /// of a depth network. `cameras` are those of the refinement's photos, in a scene whose unit has
+    /// the length `unit`.
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,
@@ -77,7 +71,7 @@ impl KnownDepth {
             (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
             (true, false) => (
                 DepthKind::Metric,
-                frames.iter().map(|frame| values_file(source, &frame.name, &FILES).map(Source::File)).collect(),
+                frames.iter().map(|frame| values_file(source, &frame.name, &EXTENSIONS).map(Source::File)).collect(),
             ),
             _ if source.extension().is_some_and(|extension| extension == "json") => {
                 (DepthKind::Metric, listed(source, frames)?)
@@ -168,7 +162,7 @@ fn check_lens(option: &str, frame: &CaptureView) -> Result<()> {
 
 pub fn read(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     check_lens("--from-depth", frame)?;
-    let file = values_file(folder, &frame.name, &FILES);
+    let file = values_file(folder, &frame.name, &EXTENSIONS);
     let file = file.ok_or_else(|| absent(folder, format!("none for {}", frame.name)))?;
     read_file(&file, &frame.camera.intrinsics, &camera.intrinsics, unit)
 }
@@ -202,21 +196,14 @@ fn malformed(file: &Path, found: impl Display, expected: &str) -> Error {
     Error::format(file, None, format!("found {found}, expected {expected}"))
 }
 
-/// Reads 16-bit levels, as `render --depth` and many sensors write them: millimeters, if the unit
-/// is a meter.
+/// Reads 16-bit levels, as of `render --depth` and many sensors: millimeters if a unit is a meter.
 fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
-    let found = match image::open(file) {
-        Ok(DynamicImage::ImageLuma16(picture)) => {
-            let level = |level: &u16| f32::from(*level) / DEPTH_LEVELS;
-            return Ok((picture.dimensions().into(), picture.iter().map(level).collect()));
-        }
-        Ok(picture) => format!("{:?}", picture.color()),
-        Err(error) => error.to_string(),
-    };
-    Err(malformed(file, found, &format!("a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit")))
+    let expected = format!("a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit");
+    let picture = image::open(file).map_err(|error| malformed(file, error, &expected))?;
+    let levels = picture.as_luma16().ok_or_else(|| malformed(file, format!("{:?}", picture.color()), &expected))?;
+    Ok((levels.dimensions().into(), levels.iter().map(|level| f32::from(*level) / DEPTH_LEVELS).collect()))
 }
 
-/// Reads the channel Z, Y, R or V, or the only one, of the first image of a file.
 fn read_exr(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let unusable = |found: String| malformed(file, found, "an OpenEXR image of one channel, or of Z, Y, R or V");
     let failed = |error: exr::error::Error| unusable(error.to_string());

@@ -163,8 +163,10 @@ impl State<'_> {
 }
 
 impl RefineCheckpoint {
-    /// Usual time between two writes.
-    pub const INTERVAL: Duration = Duration::from_secs(60);
+    /// Returns a checkpoint that is written each minute.
+    pub fn new(path: PathBuf, photos: String) -> Self {
+        Self { path, interval: Duration::from_secs(60), photos }
+    }
 
     pub(super) fn read(&self) -> Result<Option<Vec<u8>>> {
         if !self.path.exists() {

@@ -64,7 +64,6 @@ pub(super) struct PhotoCache<'a> {
     max_size: Option<[u32; 2]>,
     coarse: bool,
     depth: Option<DepthKind>,
-    /// Bytes of the limit without the kept photos.
     pub left: u64,
     /// By photo and downscaling factor.
     kept: HashMap<(usize, u32), Photo>,

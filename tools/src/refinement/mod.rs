@@ -63,7 +63,7 @@ pub fn checkpoint(
     }
     let mut path = output.as_os_str().to_owned();
     path.push(".checkpoint");
-    Ok(RefineCheckpoint { path: path.into(), interval: RefineCheckpoint::INTERVAL, photos: digest(&parts) })
+    Ok(RefineCheckpoint::new(path.into(), digest(&parts)))
 }
 
 /// Removes the checkpoint of a scene that is written, unless unreadable files ended the refinement.

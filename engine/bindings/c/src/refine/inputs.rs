@@ -42,12 +42,9 @@ pub(super) struct Photographs {
 impl Photographs {
     fn identity(&self) -> String {
         let mut hasher = DefaultHasher::new();
-        for Image { rgb, mask, .. } in &self.images {
-            (rgb, mask).hash(&mut hasher);
-        }
-        for depth in &self.depths {
-            depth.as_deref().map(bytemuck::cast_slice::<f32, u8>).hash(&mut hasher);
-        }
+        self.images.iter().for_each(|Image { rgb, mask, .. }| (rgb, mask).hash(&mut hasher));
+        let bytes = |depth: &Option<Vec<f32>>| depth.as_deref().map(bytemuck::cast_slice::<f32, u8>).hash(&mut hasher);
+        self.depths.iter().for_each(bytes);
         format!("{:016x}", hasher.finish())
     }
 }
@@ -113,11 +110,7 @@ impl Inputs {
         let photos = Photographs { images: pictures, depths };
         // SAFETY: the caller's text.
         let checkpoint = unsafe { optional_text(options.checkpoint, "checkpoint")? };
-        engine.checkpoint = checkpoint.map(|path| RefineCheckpoint {
-            path: path.into(),
-            interval: RefineCheckpoint::INTERVAL,
-            photos: photos.identity(),
-        });
+        engine.checkpoint = checkpoint.map(|path| RefineCheckpoint::new(path.into(), photos.identity()));
         Ok(Self { photos, cameras, refines_tokens, options, engine })
     }
 

@@ -419,8 +419,8 @@ class Scene:
             depth_kind: "metric" depth is in the scene's unit. The inverse of "relative" depth, as of
                 a depth network, is fitted to each photo's rendered one by a scale and a shift.
             depth_weight: Initial weight of depth, which falls to a hundredth; None for the kind's.
-            checkpoint: File that keeps the state, each minute and when stopped, from which the same
-                call continues; to be deleted once the scene is saved.
+            checkpoint: File of the state, written each minute and when stopped. The same call
+                continues from it.
             masks: Pixels to ignore, as for Model.reconstruct.
             invert_masks: Whether 0 keeps a pixel, and other values ignore it.
             progress: Called with the Progress after each step. Returning False ends the refinement
