@@ -56,8 +56,8 @@ enum Source {
 
 impl KnownDepth {
     /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights
-    /// of a depth network. `cameras` are those of the refinement's photos, in a scene whose unit has
-    /// the length `unit`.
+    /// of a depth network. `cameras` are those of the refinement's photos, in a scene whose unit
+    /// has the length `unit`.
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,
