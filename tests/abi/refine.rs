@@ -115,6 +115,33 @@ fn masked_photos_are_rusts() {
 }
 
 #[test]
+fn refinements_continue_from_checkpoints() {
+    let mut place = place(4);
+    let folder = tempfile::tempdir().expect("a folder");
+    let [path, nowhere] =
+        ["state", "none/state"].map(|name| c_string(folder.path().join(name).to_str().expect("UTF-8")));
+    let mut log = CallLog { steps: Vec::new(), stop_after: 5, action: zs_progress_action::ZS_STOP };
+    let options = zs_refine_options {
+        steps: 9,
+        checkpoint: path.as_ptr(),
+        progress: Some(listen),
+        user_data: (&raw mut log).cast(),
+        ..Versioned::new()
+    };
+    let reason = |options| made(place.in_c(&options)).1.stop_reason;
+    let unsaved = zs_refine_options { checkpoint: nowhere.as_ptr(), ..options };
+    assert_eq!(reason(unsaved), zs_stop_reason::ZS_STOP_REASON_UNSAVED as i32);
+    assert_eq!(reason(options), zs_stop_reason::ZS_STOP_REASON_STOPPED as i32);
+    log = CallLog { steps: Vec::new(), stop_after: usize::MAX, ..log };
+    let (resumed, _) = made(place.in_c(&options));
+    assert_eq!(log.steps.len(), 4);
+    let (whole, _) = made(place.in_c(&zs_refine_options { steps: 9, ..Versioned::new() }));
+    assert_same("scene", &bits(&resumed), &bits(&whole));
+    place.photos[3].rgb[0] ^= 1;
+    fails(place.in_c(&options).expect_err("an error"), ZS_ERROR_ARGUMENT, &["state", "photos differ"]);
+}
+
+#[test]
 fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     let place = place(9);
     let mut log = CallLog { steps: Vec::new(), stop_after: usize::MAX, action: zs_progress_action::ZS_STOP };

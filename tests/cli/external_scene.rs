@@ -181,7 +181,7 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     std::fs::write(&file, [&bytes[..10], text.as_bytes(), &bytes[128..]].concat()).expect("written");
     refuses(&["000.npy", "56x84", "84x56"]);
     std::fs::remove_file(&file).expect("removed");
-    refuses(&["000.npy"]);
+    refuses(&["none for", "000.png", "NAME.npy"]);
     folder.run(&format!("{line} --scene @/out/scene.ply")).fails_usage();
 }
 

@@ -1,4 +1,6 @@
 use crate::Folder;
+use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, WritableImage};
+use half::f16;
 use std::path::Path;
 use zipsplat::Scene;
 
@@ -20,6 +22,12 @@ fn save_levels(path: &Path, [width, height]: [u32; 2], values: &[f32]) {
     let levels = values.iter().map(|value| (1000.0 * value).round() as u16).collect();
     let picture = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_raw(width, height, levels);
     picture.expect("as many levels").save(path).expect("written");
+}
+
+fn save_exr<const N: usize>(path: &Path, channels: [(&str, FlatSamples); N]) {
+    let channels = channels.map(|(name, values)| AnyChannel::new(name, values));
+    let image = exr::prelude::Image::from_channels((42, 28), AnyChannels::sort(channels.into_iter().collect()));
+    image.write().to_file(path).expect("written");
 }
 
 #[test]
@@ -46,6 +54,21 @@ fn known_depth_joins_the_loss() {
         std::fs::copy(from, to).expect("copied");
     }
     assert!(metric == refined("--depth-loss @/long").1);
+    folder.make("exr");
+    for i in 0..6 {
+        let alpha = ("A", FlatSamples::F16(vec![f16::ONE; 42 * 28]));
+        save_exr(&folder.path(&format!("exr/{i:03}.exr")), [alpha, ("Z", FlatSamples::F32(values(&folder, i)))]);
+    }
+    assert!(metric == refined("--depth-loss @/exr").1);
+    for i in 0..6 {
+        let values = values(&folder, i).into_iter();
+        let values = match i % 2 {
+            0 => FlatSamples::F16(values.map(f16::from_f32).collect()),
+            _ => FlatSamples::U32(values.map(|value| value.round() as u32).collect()),
+        };
+        save_exr(&folder.path(&format!("exr/{i:03}.exr")), [("distance", values)]);
+    }
+    assert!(refined("--depth-loss @/exr").0 > 0.5 && folder.read("scene.ply") != metric);
     // As nerfstudio lists it.
     let listed = folder.text("place/transforms.json");
     let name = |i: usize| format!("\"file_path\": \"images/{i:03}.png\"");
@@ -105,7 +128,18 @@ fn unusable_depth_is_named() {
     save_levels(&folder.path("other/000.png"), [30, 28], &[1.0; 30 * 28]);
     fails("--depth-loss @/other", &["000.png", "30x28", "42x28"]);
     image::GrayImage::new(42, 28).save(folder.path("other/000.png")).expect("written");
-    fails("--depth-loss @/other", &["000.png", "Grayscale of 8 bits", "16-bit"]);
+    fails("--depth-loss @/other", &["000.png", "L8", "16-bit"]);
+    std::fs::remove_file(folder.path("other/000.png")).expect("removed");
+    let zeros = || FlatSamples::F32(vec![0.0; 42 * 28]);
+    save_exr(&folder.path("other/000.exr"), [("B", zeros()), ("G", zeros())]);
+    fails("--depth-loss @/other", &["000.exr", "channels B, G", "Z, Y, R or V"]);
+    save_exr(&folder.path("other/000.exr"), [("Z", FlatSamples::F32(vec![f32::INFINITY; 42 * 28]))]);
+    fails("--depth-loss @/other", &["000.exr", "inf at column 0, row 0", "0 if unknown"]);
+    let whole = folder.read("other/000.exr");
+    for length in [0, 4, 100, whole.len() - 1] {
+        folder.write("other/000.exr", &whole[..length]);
+        fails("--depth-loss @/other", &["000.exr", "an OpenEXR image"]);
+    }
     folder.run(&format!("reconstruct {PHOTOS} --depth-loss @/place/depth -o @/scene.ply")).fails_usage();
     folder.run(&format!("refine {PHOTOS} --init points --depth-weight 1 -o @/scene.ply")).fails_usage();
 }

@@ -52,6 +52,8 @@ fn commands_take_the_views_of_known_panoramas() {
     assert!(two.err.contains("4 of them, are cut into 32 pinhole views of 100 degrees"), "{}", two.err);
     assert!(two.out.contains("are cut into 32 pinhole views"), "a warning: {}", two.out);
     assert_eq!(two.json()["views"], 16);
+    let planned = folder.run(&format!("reconstruct {PANOS} --views 2 {MICRO} --dry-run --json"));
+    assert_eq!(planned.json()["views"], 16);
     let tiles = folder.run(&format!("reconstruct {PANOS} --views 1 {MICRO} --crop tiles -o @/tiles.ply --json"));
     assert_eq!(tiles.json()["views"], 8);
     let json = folder.run(&format!("eval @/place --views 3 {MICRO} --lpips none --json")).json();

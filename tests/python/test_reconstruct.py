@@ -193,6 +193,11 @@ def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path, tmp_
     assert len(model.reconstruct(opened, input_size=SIZE, masks=folder)) <= len(coarse)
     with pytest.raises(zipsplat.ArgumentError, match="mask 0"):
         coarse.refine(opened, steps=1, masks=masks[:, :-1])
+    state = tmp_path / "state"
+    coarse.refine(opened, steps=15, checkpoint=state, progress=lambda now: now.step < 5)
+    told.clear()
+    resumed = coarse.refine(opened, steps=15, checkpoint=state, progress=told.append)
+    assert len(told) == 10 and same(resumed, sharp)
     assert coarse.refine(opened, steps=2, antialiased=True).antialiased and not sharp.antialiased
     depths = [None, np.full(photos.shape[1:3], 2.0), np.full(photos.shape[1:3], 2.0)]
     assert not same(coarse.refine(opened, steps=15, depths=depths), sharp)

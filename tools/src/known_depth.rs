@@ -11,19 +11,19 @@ use crate::{
     session::Session,
     stamp::{digest, stamp},
 };
+use exr::prelude::{MetaData, ReadChannels, ReadLayers, Vec2};
 use safetensors::SafeTensors;
 use serde_json::Value;
 use std::{
     borrow::Cow,
-    fs::File,
-    io::BufReader,
+    fmt::Display,
     path::{Path, PathBuf},
     sync::Arc,
 };
 use zipsplat::{
     Error, Result,
     refine::{DepthKind, Photos},
-    types::{Camera, Image, Intrinsics, named_after, poses::CaptureView},
+    types::{Camera, Image, Intrinsics, poses::CaptureView},
     weights::DepthHeads,
 };
 
@@ -31,6 +31,9 @@ use zipsplat::{
 pub const VALUES: &str = "depths.safetensors";
 /// Metadata of [`VALUES`]: the photos' names without extension.
 pub const PHOTOS: &str = "zipsplat.photos";
+
+const EXTENSIONS: [&str; 3] = ["npy", "exr", "png"];
+const MAX_PIXELS: usize = 1 << 28;
 
 pub struct KnownDepth {
     pub kind: DepthKind,
@@ -53,8 +56,8 @@ enum Source {
 
 impl KnownDepth {
     /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights
-    /// of a depth network that predicts it. `cameras` are those of the refinement's photos, in a
-    /// scene whose unit has the length `unit`.
+    /// of a depth network. `cameras` are those of the refinement's photos, in a scene whose unit
+    /// has the length `unit`.
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,
@@ -62,16 +65,13 @@ impl KnownDepth {
         cameras: &[Camera],
         unit: f64,
     ) -> Result<Self> {
-        if let Some(frame) = frames.iter().find(|frame| frame.lens.is_some()) {
-            let found = format!("{}, whose lens distorts", frame.name);
-            return Err(Error::argument("--depth-loss", found, "photos of a pinhole camera"));
-        }
+        frames.iter().try_for_each(|frame| check_lens("--depth-loss", frame))?;
         let file = source.join(VALUES);
         let (kind, sources) = match (source.is_dir(), file.is_file()) {
             (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
             (true, false) => (
                 DepthKind::Metric,
-                frames.iter().map(|frame| values_file(source, &frame.name).map(Source::File)).collect(),
+                frames.iter().map(|frame| values_file(source, &frame.name, &EXTENSIONS).map(Source::File)).collect(),
             ),
             _ if source.extension().is_some_and(|extension| extension == "json") => {
                 (DepthKind::Metric, listed(source, frames)?)
@@ -81,9 +81,7 @@ impl KnownDepth {
         let known = sources.iter().flatten().count();
         if known == 0 {
             let found = format!("none for {} and the other photos", photos::names(&files[..files.len().min(1)]));
-            let expected =
-                format!("NAME.npy or NAME.png for a photo NAME, {VALUES} of these photos, or depth_file_path");
-            return Err(Error::argument(format!("depth in {}", source.display()), found, expected));
+            return Err(absent(source, found));
         }
         if known < files.len() {
             let without = files.iter().zip(&sources).filter(|(_, source)| source.is_none());
@@ -151,20 +149,30 @@ fn listed(file: &Path, frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     Ok(frames.iter().map(path).collect())
 }
 
-pub fn read_npy(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
-    if frame.lens.is_some() {
-        let found = format!("{}, whose lens distorts", frame.name);
-        return Err(Error::argument("--from-depth", found, "photos of a pinhole camera"));
-    }
-    let [long, short] = named_after(folder, Path::new(&frame.name), "npy");
-    read_file(if long.is_file() { &long } else { &short }, &frame.camera.intrinsics, &camera.intrinsics, unit)
+fn absent(source: &Path, found: String) -> Error {
+    let expected =
+        format!("NAME.npy, NAME.exr or NAME.png for a photo NAME, {VALUES} of these photos, or depth_file_path");
+    Error::argument(format!("depth in {}", source.display()), found, expected)
+}
+
+fn check_lens(option: &str, frame: &CaptureView) -> Result<()> {
+    let found = format!("{}, whose lens distorts", frame.name);
+    frame.lens.map_or(Ok(()), |_| Err(Error::argument(option, found, "photos of a pinhole camera")))
+}
+
+pub fn read(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
+    check_lens("--from-depth", frame)?;
+    let file = values_file(folder, &frame.name, &EXTENSIONS);
+    let file = file.ok_or_else(|| absent(folder, format!("none for {}", frame.name)))?;
+    read_file(&file, &frame.camera.intrinsics, &camera.intrinsics, unit)
 }
 
 /// Reads the depth of a whole photo, nearest sampled for a camera and divided by `unit`.
 fn read_file(file: &Path, photo: &Intrinsics, camera: &Intrinsics, unit: f64) -> Result<Vec<f32>> {
-    let ([width, height], values) = match file.extension().is_some_and(|extension| extension == "png") {
-        true => read_png(file)?,
-        false => npy::read(file)?,
+    let ([width, height], values) = match file.extension().and_then(|extension| extension.to_str()) {
+        Some("png") => read_png(file)?,
+        Some("exr") => read_exr(file)?,
+        _ => npy::read(file)?,
     };
     check_shape(file, [width, height], photo)?;
     if let Some(at) = values.iter().position(|value| !(value.is_finite() && *value >= 0.0)) {
@@ -184,26 +192,38 @@ fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Re
     Err(Error::argument(file.display().to_string(), format!("{width}x{height}"), expected))
 }
 
-/// Reads 16-bit levels, as `render --depth` and many sensors write them: millimeters, if the unit
-/// is a meter.
+fn malformed(file: &Path, found: impl Display, expected: &str) -> Error {
+    Error::format(file, None, format!("found {found}, expected {expected}"))
+}
+
+/// Reads 16-bit levels, as of `render --depth` and many sensors: millimeters if a unit is a meter.
 fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
-    let malformed = |found: String| {
-        Error::format(
-            file,
-            None,
-            format!("found {found}, expected a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit"),
-        )
-    };
-    let opened = File::open(file).map_err(|error| Error::io(file, error))?;
-    let mut reader = png::Decoder::new(BufReader::new(opened)).read_info().map_err(|e| malformed(e.to_string()))?;
-    let (color, bits) = reader.output_color_type();
-    if (color, bits) != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
-        return Err(malformed(format!("{color:?} of {} bits", bits as u8)));
+    let expected = format!("a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit");
+    let picture = image::open(file).map_err(|error| malformed(file, error, &expected))?;
+    let levels = picture.as_luma16().ok_or_else(|| malformed(file, format!("{:?}", picture.color()), &expected))?;
+    Ok((levels.dimensions().into(), levels.iter().map(|level| f32::from(*level) / DEPTH_LEVELS).collect()))
+}
+
+fn read_exr(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
+    let unusable = |found: String| malformed(file, found, "an OpenEXR image of one channel, or of Z, Y, R or V");
+    let failed = |error: exr::error::Error| unusable(error.to_string());
+    let mut headers = MetaData::read_from_file(file, false).map_err(failed)?.headers.into_iter();
+    let header = headers.next().ok_or_else(|| unusable("no image".into()))?;
+    let (channels, Vec2(width, height)) = (header.channels.list, header.layer_size);
+    let named = |name: &&str| channels.iter().position(|channel| channel.name.eq(name));
+    let chosen = ["Z", "Y", "R", "V"].iter().find_map(named).or((channels.len() == 1).then_some(0));
+    let chosen = chosen.filter(|i| channels[*i].sampling == Vec2(1, 1)).ok_or_else(|| {
+        let names: Vec<String> = channels.iter().map(|channel| channel.name.to_string()).collect();
+        unusable(format!("channels {}", names.join(", ")))
+    })?;
+    if width.saturating_mul(height) > MAX_PIXELS {
+        return Err(unusable(format!("{width}x{height} pixels")));
     }
-    let mut bytes = vec![0; reader.output_buffer_size().ok_or_else(|| malformed("a picture too large".into()))?];
-    let info = reader.next_frame(&mut bytes).map_err(|error| malformed(error.to_string()))?;
-    let level = |two: &[u8]| f32::from(u16::from_be_bytes([two[0], two[1]])) / DEPTH_LEVELS;
-    Ok(([info.width, info.height], bytes[..info.buffer_size()].chunks_exact(2).map(level).collect()))
+    let reader = exr::prelude::read().no_deep_data().largest_resolution_level().all_channels();
+    let layer = reader.first_valid_layer().all_attributes().from_file(file).map_err(failed)?.layer_data;
+    let values = layer.channel_data.list.get(chosen).filter(|_| layer.size == header.layer_size);
+    let values = values.ok_or_else(|| unusable("several images".into()))?.sample_data.values_as_f32();
+    Ok(([width as u32, height as u32], values.collect()))
 }
 
 /// Nearest pixels of a map of intrinsics `from` for each of `to`, divided by `unit`; 0 outside.
@@ -228,9 +248,7 @@ fn pixels(axis: usize, of: &Intrinsics, from: &Intrinsics) -> Vec<Option<usize>>
 /// Reads the photos' depth that `depth` wrote.
 fn read_values(file: &Path, photos: &[PathBuf], frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     let bytes = std::fs::read(file).map_err(|error| Error::io(file, error))?;
-    let malformed = |found: String| {
-        Error::format(file, None, format!("found {found}, expected depth [photos, height, width] of `zipsplat depth`"))
-    };
+    let malformed = |found: String| malformed(file, found, "depth [photos, height, width] of `zipsplat depth`");
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|error| malformed(error.to_string()))?;
     let names = header.metadata().as_ref().and_then(|metadata| metadata.get(PHOTOS));
     let names: Vec<String> =

@@ -52,9 +52,9 @@ impl PosedPhotos {
     }
 }
 
-pub fn values_file(folder: &Path, photo: &str) -> Option<PathBuf> {
-    let files = ["npy", "png"].map(|extension| named_after(folder, Path::new(photo), extension));
-    files.into_iter().flatten().find(|file| file.is_file())
+pub fn values_file(folder: &Path, photo: &str, extensions: &[&str]) -> Option<PathBuf> {
+    let mut files = extensions.iter().flat_map(|extension| named_after(folder, Path::new(photo), extension));
+    files.find(|file| file.is_file())
 }
 
 pub struct ValueFiles(Vec<(PathBuf, Camera, Option<Lens>)>);
@@ -64,7 +64,7 @@ impl ValueFiles {
         let (capture, to_scene) = photos.open(session, world)?;
         let mut files = Vec::new();
         for frame in &capture.frames {
-            let Some(file) = values_file(folder, &frame.name) else { continue };
+            let Some(file) = values_file(folder, &frame.name, &["npy", "png"]) else { continue };
             files.push((file, fitted(&to_scene.apply(&frame.camera)), frame.lens));
         }
         if files.is_empty() {

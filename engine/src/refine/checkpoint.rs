@@ -163,6 +163,11 @@ impl State<'_> {
 }
 
 impl RefineCheckpoint {
+    /// Returns a checkpoint that is written each minute.
+    pub fn new(path: PathBuf, photos: String) -> Self {
+        Self { path, interval: Duration::from_secs(60), photos }
+    }
+
     pub(super) fn read(&self) -> Result<Option<Vec<u8>>> {
         if !self.path.exists() {
             return Ok(None);

@@ -130,6 +130,8 @@ pub struct RefineResult {
     pub took: Duration,
     /// Peak bytes allocated on the device.
     pub peak_bytes: u64,
+    /// Bytes of photos kept on the host.
+    pub photo_bytes: u64,
     /// Reason for an early end.
     pub stop_reason: Option<StopReason>,
     /// Profile of a step by kernel, if requested.

@@ -64,7 +64,7 @@ pub(super) struct PhotoCache<'a> {
     max_size: Option<[u32; 2]>,
     coarse: bool,
     depth: Option<DepthKind>,
-    left: u64,
+    pub left: u64,
     /// By photo and downscaling factor.
     kept: HashMap<(usize, u32), Photo>,
     /// Photos beyond the limit, until their use.

@@ -150,6 +150,7 @@ impl<'a> Refinement<'a> {
         let stop_reason = self.run(progress, begin, resumed_step, saving)?;
         let profile = self.options.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
+        let photo_bytes = self.options.max_photo_bytes - self.photos.left;
         self.gaussians.show(&self.kept.scene)?;
         let mut after = self.training_psnr()?;
         if let Some(given) = given
@@ -183,6 +184,7 @@ impl<'a> Refinement<'a> {
             sizes,
             took,
             peak_bytes,
+            photo_bytes,
             stop_reason,
             profile,
         })

@@ -60,6 +60,7 @@ fn results_are_independent_of_the_memory_for_photos() {
         let (opened, left) = refine_opened(&photos, 500, max_photo_bytes);
         assert!(opened.scene == kept.scene && opened.losses == kept.losses, "{max_photo_bytes}");
         assert!(left < before, "{max_photo_bytes}: {left}");
+        assert!(opened.photo_bytes <= max_photo_bytes, "{}", opened.photo_bytes);
         before = left;
     }
 }

@@ -17,7 +17,6 @@ use std::{
     borrow::Cow,
     ops::ControlFlow,
     path::{Path, PathBuf},
-    time::Duration,
 };
 use zipsplat::{
     Error, Result,
@@ -49,9 +48,6 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// Time between two writes of a checkpoint.
-const INTERVAL: Duration = Duration::from_secs(60);
-
 /// Returns the checkpoint of a refinement that writes `output`: a file beside it.
 pub fn checkpoint(
     output: &Path,
@@ -67,7 +63,7 @@ pub fn checkpoint(
     }
     let mut path = output.as_os_str().to_owned();
     path.push(".checkpoint");
-    Ok(RefineCheckpoint { path: path.into(), interval: INTERVAL, photos: digest(&parts) })
+    Ok(RefineCheckpoint::new(path.into(), digest(&parts)))
 }
 
 /// Removes the checkpoint of a scene that is written, unless unreadable files ended the refinement.

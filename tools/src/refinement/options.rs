@@ -117,8 +117,8 @@ pub struct RefineSettings {
     /// long. `python3 tools/lpips.py` downloads the weights of LPIPS [default: 0]
     #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]
     lpips_weight: Option<f32>,
-    /// Also fit known depth: of a folder with NAME.npy (f32 [height, width]) or NAME.png (16-bit,
-    /// 1000 levels per unit) for each photo NAME, z in the cameras' unit and 0 if unknown, or with
+    /// Also fit known depth: of a folder with NAME.npy (f32 [height, width]), NAME.exr or
+    /// NAME.png (16-bit, 1000 levels per unit), z in the cameras' unit and 0 if unknown, or with
     /// depths.safetensors of `depth`; of a transforms.json with depth_file_path; or of a depth
     /// network, as for `depth --weights`. Networks' inverse depth is fitted to each photo by a
     /// scale and a shift

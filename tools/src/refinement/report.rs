@@ -48,7 +48,7 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
         "steps": refined.losses.len(), "resumed_step": refined.resumed_step, "best_step": refined.best_step, "losses": refined.losses,
         "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes,
         "stop_reason": ended(refined),
-        "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
+        "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes, "photo_bytes": refined.photo_bytes,
     })
 }
 
@@ -108,7 +108,7 @@ pub fn explain(
         ("masked", masked(refined).unwrap_or("none".into())),
         ("exposures", settings.exposure_rule(photos, refined)),
         ("depth", depth(refined, request).unwrap_or("none".into())),
-        ("memory", bytes(refined.peak_bytes)),
+        ("memory", format!("{}, and {} of photos on the host", bytes(refined.peak_bytes), bytes(refined.photo_bytes))),
         ("stop reason", ended(refined)),
     ] {
         table.row([what.into(), value]);

@@ -1017,6 +1017,8 @@ ZS_ENUM(zs_stop_reason) {
     ZS_STOP_REASON_STOPPED = 1,
     // The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
+    // The checkpoint could not be written.
+    ZS_STOP_REASON_UNSAVED = 3,
 };
 
 // Options of a refinement.
@@ -1036,24 +1038,22 @@ typedef struct zs_refine_options {
     zs_refine_target target;
     // 1 also optimizes the training photos' cameras, except the first.
     uint32_t optimize_cameras;
-    // Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
+    // Weight of LPIPS (VGG) in the loss; 0 needs no LPIPS weights.
     float perceptual_weight;
-    // Whether to learn a color transform per photo, for photos of different exposure or white
-    // balance. The scene has their mean.
+    // Whether to learn a color transform per photo. The scene has their mean.
     zs_exposure_mode exposure;
     // Seed of the photo order and of growth.
     uint64_t seed;
     // Final number of Gaussians; values up to the scene's number disable growth. 0 grows from 50
     // steps on and below a training PSNR of 25 dB, to one per 32 pixels of the photos and at most
-    // 16 times the scene's; from 200 steps on more, up to twice as many at 800. Must be 0 for
-    // tokens.
+    // 16 times the scene's, at 800 steps twice as many. Must be 0 for tokens.
     size_t max_gaussians;
     // Progress callback, called after each step.
     zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
-    // Approximate duration instead of `steps`; 0 without `steps` is 60. A few timed steps
-    // determine the number of steps and the photos' size.
+    // Approximate duration instead of `steps`; 0 without `steps` is 60. Timed steps determine
+    // their number and the photos' size.
     double seconds;
     // Whether to draw and return an antialiased scene.
     zs_antialiasing antialiasing;
@@ -1062,6 +1062,9 @@ typedef struct zs_refine_options {
     // Initial weight of depth, which falls to a hundredth; 0 is the default of the kind.
     float depth_weight;
     uint32_t reserved;
+    // File of the state, written each minute and when stopped, or NULL. The same call continues
+    // from it.
+    const char *checkpoint;
 } zs_refine_options;
 
 // Result of a refinement.

@@ -13,7 +13,10 @@ use super::{
     status::{Failure, zs_status},
 };
 use inputs::{Inputs, Photographs, ProgressFunction};
-use std::{ffi::c_void, time::Duration};
+use std::{
+    ffi::{c_char, c_void},
+    time::Duration,
+};
 use zipsplat::{
     Camera, Error, Pose, RefineLength, RefineOptions, RefineResult,
     gpu::Arena,
@@ -75,6 +78,7 @@ pub enum zs_stop_reason {
     ZS_STOP_REASON_FINISHED = 0,
     ZS_STOP_REASON_STOPPED = 1,
     ZS_STOP_REASON_DIVERGED = 2,
+    ZS_STOP_REASON_UNSAVED = 3,
 }
 
 pub(super) type zs_stop_reason_value = i32;
@@ -100,6 +104,7 @@ pub struct zs_refine_options {
     pub depth_loss: zs_depth_loss_value,
     pub depth_weight: f32,
     pub reserved: u32,
+    pub checkpoint: *const c_char,
 }
 
 #[repr(C)]
@@ -269,8 +274,9 @@ impl From<&RefineResult> for zs_refine_result {
         let stop_reason = match refined.stop_reason {
             None => zs_stop_reason::ZS_STOP_REASON_FINISHED,
             Some(StopReason::Cancelled) => zs_stop_reason::ZS_STOP_REASON_STOPPED,
+            Some(StopReason::Diverged(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
             // Photos in memory are always readable.
-            Some(StopReason::Diverged(_) | StopReason::Io(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
+            Some(StopReason::Io(_)) => zs_stop_reason::ZS_STOP_REASON_UNSAVED,
         };
         Self {
             stop_reason: stop_reason as i32,

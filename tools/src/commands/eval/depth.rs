@@ -1,6 +1,6 @@
 use crate::{
     capture::{Choice, ViewSplit},
-    known_depth::read_npy,
+    known_depth,
 };
 use std::path::Path;
 use zipsplat::{Error, Result, depth::add_view, types::Scene};
@@ -10,7 +10,7 @@ pub fn scene(folder: &Path, choice: &Choice, capture: &ViewSplit) -> Result<Scen
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
     let views = capture.views.cameras.iter().zip(&capture.views.images);
     for (frame, (camera, image)) in choice.input_frames().into_iter().zip(views) {
-        let depth = read_npy(folder, frame, camera, capture.scene_scale.length)?;
+        let depth = known_depth::read(folder, frame, camera, capture.scene_scale.length)?;
         add_view(&mut scene, camera, image, &depth);
     }
     if scene.is_empty() {

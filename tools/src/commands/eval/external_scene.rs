@@ -27,9 +27,8 @@ pub struct ExternalScene {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "max_gaussians_per_token", "pose_noise", "crop"])]
     scene: Option<PathBuf>,
     /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth, without
-    /// reconstruction. Reads FOLDER/NAME.npy for each photo NAME, as `scene` writes it: f32
-    /// [height, width], z in the cameras' unit, 0 for unknown. With --protocol
-    /// FOLDER/SCENE/NAME.npy. --refine starts from it
+    /// reconstruction. Reads a file of FOLDER for each photo, as --depth-loss. With --protocol
+    /// FOLDER/SCENE. --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "max_gaussians_per_token", "pose_noise", "crop", "pose_free"])]
     from_depth: Option<PathBuf>,
     /// World of --scene [default: aligned with --scene-cameras, else the file's, else

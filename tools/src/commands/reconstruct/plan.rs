@@ -18,6 +18,7 @@ use zipsplat::{
     reconstruct::{Network, NetworkPlan},
     refine::{Moved, RefinePlan, plan_refinement},
     stages::render::{RenderOptions, plan_pictures},
+    types::poses::{Capture, CaptureView},
     weights::{Checkpoint, DepthCheckpoint},
 };
 
@@ -30,16 +31,19 @@ pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
         _ => command.input.list(session, command.views, command.unposed(), None)?,
     };
     let limit = command.views.filter(|_| photos.is_empty() || command.unposed().is_none());
-    let views = match (photos.len(), limit.map(|views| views as usize)) {
+    let file = command.cameras.as_ref().filter(|_| !photos.is_empty() && command.unposed().is_none());
+    let poses = file.map(Capture::open).transpose()?;
+    let photos = photos::kept(session, photos, poses.as_ref(), limit)?;
+    let views = match (photos.len(), limit) {
         (0, None) => return Err(Error::argument("photos", "none", "photos, or their number by --views")),
-        (0, Some(views)) => views,
-        (all, limit) => limit.unwrap_or(all).min(all),
+        (0, Some(views)) => views as usize,
+        (all, _) => all,
     };
-    let photos = photos::spread(photos, limit);
+    let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
     let network = command.weights.open_network()?;
     let posed = command.cameras.is_some() && !command.finds_by_itself(&network);
     match &network {
-        Weights::Tokens(checkpoint) => show_tokens(session, command, checkpoint, &photos, views),
+        Weights::Tokens(checkpoint) => show_tokens(session, command, checkpoint, (&photos, &frames), views),
         Weights::Pixels(checkpoint) => show_depth(session, command, checkpoint, (views, posed)),
     }
 }
@@ -48,7 +52,7 @@ fn show_tokens(
     session: &mut Session<'_>,
     command: &Reconstruct,
     checkpoint: &Checkpoint,
-    photos: &[PathBuf],
+    (photos, frames): (&[PathBuf], &[&CaptureView]),
     views: usize,
 ) -> Result<()> {
     let (quality, crop) = (&command.quality, command.crop.crop);
@@ -58,7 +62,7 @@ fn show_tokens(
     let size = quality.size_for(checkpoint);
     let posed = command.cameras.is_some();
     crop.check(size, posed)?;
-    let seen = if photos.is_empty() { views } else { crop.count(photos, &[])? };
+    let seen = if photos.is_empty() { views } else { crop.count(photos, frames)? };
     let (limits, precision, arithmetic) = target(session, &quality.arithmetic)?;
     let network = Network::of(checkpoint, &limits, arithmetic)?;
     let shape_of = |views: usize| quality.shape(checkpoint.architecture(), views, size, posed);

@@ -4,16 +4,23 @@ use super::{
     super::{
         camera::{read_cameras, zs_camera},
         image::zs_image,
-        pointers::{Versioned, checked_array, meaning, read_array, read_versioned, write_array, write_versioned},
+        pointers::{
+            Versioned, checked_array, meaning, optional_text, read_array, read_versioned, write_array, write_versioned,
+        },
         progress::{Reporter, zs_progress, zs_progress_action},
         status::Failure,
     },
     zs_refine_options, zs_refine_result,
 };
-use std::{borrow::Cow, cell::Cell, ops::ControlFlow};
+use std::{
+    borrow::Cow,
+    cell::Cell,
+    hash::{DefaultHasher, Hash, Hasher},
+    ops::ControlFlow,
+};
 use zipsplat::{
     Camera, Error, Image, RefineOptions, RefineResult,
-    refine::{Photos, RefineProgress},
+    refine::{Photos, RefineCheckpoint, RefineProgress},
     types::ColorTransform,
 };
 
@@ -30,6 +37,16 @@ pub(super) struct Inputs {
 pub(super) struct Photographs {
     images: Vec<Image>,
     depths: Vec<Option<Vec<f32>>>,
+}
+
+impl Photographs {
+    fn identity(&self) -> String {
+        let mut hasher = DefaultHasher::new();
+        self.images.iter().for_each(|Image { rgb, mask, .. }| (rgb, mask).hash(&mut hasher));
+        let bytes = |depth: &Option<Vec<f32>>| depth.as_deref().map(bytemuck::cast_slice::<f32, u8>).hash(&mut hasher);
+        self.depths.iter().for_each(bytes);
+        format!("{:016x}", hasher.finish())
+    }
 }
 
 impl Photos for &Photographs {
@@ -72,7 +89,7 @@ impl Inputs {
             (read_array(images, count, "images")?, read_cameras(cameras, count)?, read_versioned(options)?)
         };
         let refines_tokens = meaning("target", options.target, "zs_refine_target", [false, true])?;
-        let engine = options.engine()?;
+        let mut engine = options.engine()?;
         let photo = |(i, image): (usize, &zs_image)| {
             // SAFETY: the caller's pixels.
             unsafe { image.image(&format!("image {i}")) }
@@ -91,6 +108,9 @@ impl Inputs {
             return Err(Failure::argument("depth of the images", "NULL in all", expected));
         }
         let photos = Photographs { images: pictures, depths };
+        // SAFETY: the caller's text.
+        let checkpoint = unsafe { optional_text(options.checkpoint, "checkpoint")? };
+        engine.checkpoint = checkpoint.map(|path| RefineCheckpoint::new(path.into(), photos.identity()));
         Ok(Self { photos, cameras, refines_tokens, options, engine })
     }
 

@@ -11,11 +11,12 @@ import numpy.typing as npt
 from ._native import lib
 from .cameras import Cameras, from_native
 
-StopReason = Literal["finished", "stopped", "diverged"]
+StopReason = Literal["finished", "stopped", "diverged", "unsaved"]
 _STOP_REASONS: dict[int, StopReason] = {
     lib.ZS_STOP_REASON_FINISHED: "finished",
     lib.ZS_STOP_REASON_STOPPED: "stopped",
     lib.ZS_STOP_REASON_DIVERGED: "diverged",
+    lib.ZS_STOP_REASON_UNSAVED: "unsaved",
 }
 
 
@@ -24,7 +25,8 @@ class RefineResult:
     """Result of a refinement.
 
     Attributes:
-        stop_reason: "finished", "stopped" by the progress function, or "diverged".
+        stop_reason: "finished", "stopped" by the progress function, "diverged", or
+            "unsaved" if the checkpoint could not be written.
         steps: Completed steps.
         best_step: Step of the returned scene; 0 if none improved it.
         initial_loss: Mean loss over the first step's photos; NaN without a step.

@@ -385,6 +385,7 @@ class Scene:
         depths: Optional[DepthsLike] = None,
         depth_kind: DepthKind = "metric",
         depth_weight: Optional[float] = None,
+        checkpoint: Optional[PathLike] = None,
         masks: Optional[MasksLike] = None,
         invert_masks: bool = False,
         progress: Optional[ProgressFunction] = None,
@@ -418,6 +419,8 @@ class Scene:
             depth_kind: "metric" depth is in the scene's unit. The inverse of "relative" depth, as of
                 a depth network, is fitted to each photo's rendered one by a scale and a shift.
             depth_weight: Initial weight of depth, which falls to a hundredth; None for the kind's.
+            checkpoint: File of the state, written each minute and when stopped. The same call
+                continues from it.
             masks: Pixels to ignore, as for Model.reconstruct.
             invert_masks: Whether 0 keeps a pixel, and other values ignore it.
             progress: Called with the Progress after each step. Returning False ends the refinement
@@ -442,6 +445,7 @@ class Scene:
             raise ArgumentError(f"depth_weight: found {depth_weight}, expected a number above 0")
         photos, _kept = native_images(sources, masks, invert_masks, depths)
         callback = Callback(progress)
+        state = ffi.NULL if checkpoint is None else ffi.new("char[]", os.fsencode(checkpoint))
         refined_cameras = native_cameras(posed)
         options = structure(
             "refine_options",
@@ -459,6 +463,7 @@ class Scene:
             antialiasing=ANTIALIASING[antialiased],
             depth_loss=lib.ZS_DEPTH_LOSS_OFF if depths is None else choose("depth_kind", depth_kind, _DEPTH_KINDS),
             depth_weight=depth_weight or 0.0,
+            checkpoint=state,
             **callback.fields,
         )
         exposures = np.empty((len(sources), 3, 4), np.float32)
