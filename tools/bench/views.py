@@ -25,13 +25,14 @@ STAGES = {"backbone": "#264653", "cluster": "#e9c46a", "fuse": "#2a9d8f", "gauss
 COLUMNS = {
     "Gaussians": ",.0f",
     "dB": ".2f",
-    "SSIM": ".3f",
     "s": ".2f",
     **{f"{stage}, s": ".2f" for stage in STAGES},
     "peak, MiB": ".1f",
     "pictures/s": ".1f",
     "PLY, MB": ".1f",
 }
+PLOTS = {"dB": "PSNR, dB", "s": "11 a: s, by stage", "peak, MiB": "11 b: peak memory, MiB",
+         "pictures/s": "12 a: pictures/s", "PLY, MB": "12 b: PLY, MB"}
 PICTURES = 40
 
 
@@ -79,7 +80,6 @@ def run(args, capture, views, ratio, pool):
     values = {
         "Gaussians": said["gaussians"],
         "dB": said["mean"]["psnr"],
-        "SSIM": said["mean"]["ssim"],
         "s": share * total,
         "peak, MiB": said["peak_bytes"] / 2**20,
         "pictures/s": PICTURES / (drawn - first),
@@ -89,30 +89,25 @@ def run(args, capture, views, ratio, pool):
     return values
 
 
-def plot(means, path):
+def plot(views, curves, path):
     """Plots the columns over photos, a line per ratio, and stages as bars."""
     plt.rcParams |= {"svg.fonttype": "none", "svg.hashsalt": "zipsplat", "font.size": 8}
-    figure, axes = plt.subplots(1, 5, figsize=(13, 2.6), layout="constrained")
-    ratios = list(dict.fromkeys(settings[1:] for settings in means))
-    views = list(dict.fromkeys(settings[0] for settings in means))
-    titles = {"dB": "PSNR, dB", "s": "11 a: s, by stage", "peak, MiB": "11 b: peak memory, MiB",
-              "pictures/s": "12 a: pictures/s", "PLY, MB": "12 b: PLY, MB"}
-    for axis, (column, title) in zip(axes, titles.items()):
+    figure, axes = plt.subplots(1, len(PLOTS), figsize=(13, 2.6), layout="constrained")
+    for axis, (column, title) in zip(axes, PLOTS.items()):
         axis.set(title=title, xlabel="input photos")
+        for j, (label, means) in enumerate(curves.items()):
+            if column != "s":
+                axis.plot(views, [mean[column] for mean in means], "o-", label=label)
+            below = [0] * len(views)
+            for stage, color in STAGES.items() if column == "s" else ():
+                height = [mean[f"{stage}, s"] for mean in means]
+                name = stage if j == 0 else None
+                axis.bar([k + 0.25 * j for k in range(len(views))], height, 0.22, below, color=color, label=name)
+                below = [sum(pair) for pair in zip(below, height)]
         if column == "s":
-            continue
-        for ratio, pool in ratios:
-            label = f"ratio {ratio}" + ("" if pool == "1" else f", pool {pool}")
-            axis.plot(views, [means[count, ratio, pool][column] for count in views], "o-", label=label)
-        axis.set(xticks=views, ylim=(None if column == "dB" else 0, None))
-    width = 0.8 / len(ratios)
-    for i, (name, color) in enumerate(STAGES.items()):
-        for j, ratio in enumerate(ratios):
-            below = [sum(means[count, *ratio][f"{stage}, s"] for stage in list(STAGES)[:i]) for count in views]
-            height = [means[count, *ratio][f"{name}, s"] for count in views]
-            at = [k + (j - (len(ratios) - 1) / 2) * width for k in range(len(views))]
-            axes[1].bar(at, height, 0.9 * width, below, color=color, label=name if j == 0 else None)
-    axes[1].set_xticks(range(len(views)), views)
+            axis.set_xticks(range(len(views)), views)
+        else:
+            axis.set(xticks=views, ylim=(None if column == "dB" else 0, None))
     axes[0].legend()
     axes[1].legend()
     figure.savefig(path, metadata={"Date": None})
@@ -121,15 +116,17 @@ def plot(means, path):
 def main():
     args = arguments()
     args.out.mkdir(parents=True, exist_ok=True)
-    print("| photos | ratio | pool |", " | ".join(COLUMNS), "|")
+    print("| ratio | pool | photos |", " | ".join(COLUMNS), "|")
     print("|---" * (3 + len(COLUMNS)) + "|")
-    means = {}
-    for settings in itertools.product(map(int, args.views.split(",")), args.ratios.split(","), args.pools.split(",")):
-        runs = [run(args, capture, *settings) for capture in args.captures]
-        means[settings] = {name: fmean(values[name] for values in runs) for name in COLUMNS}
-        cells = (f"{means[settings][name]:{spec}}" for name, spec in COLUMNS.items())
-        print("|", " | ".join([*map(str, settings), *cells]), "|", flush=True)
-    plot(means, args.out / "views.svg")
+    curves, views = {}, list(map(int, args.views.split(",")))
+    for ratio, pool, count in itertools.product(args.ratios.split(","), args.pools.split(","), views):
+        runs = [run(args, capture, count, ratio, pool) for capture in args.captures]
+        means = {name: fmean(values[name] for values in runs) for name in COLUMNS}
+        label = f"ratio {ratio}" if pool == "1" else f"ratio {ratio}, pool {pool}"
+        curves.setdefault(label, []).append(means)
+        cells = (f"{means[name]:{spec}}" for name, spec in COLUMNS.items())
+        print("|", " | ".join([ratio, pool, str(count), *cells]), "|", flush=True)
+    plot(views, curves, args.out / "views.svg")
 
 
 if __name__ == "__main__":
