@@ -45,7 +45,7 @@ fn depth_is_that_of_rust() {
     let (folder, device) = (tempfile::tempdir().expect("a folder"), open_device());
     let (checkpoint, model) = model(&device, folder.path(), false);
     let photos = photos(2);
-    let own = zs_depth_options { input_size: SIDE, per_view_focal: 1, ..Versioned::new() };
+    let own = zs_depth_options { input_size: SIDE, per_view_focal: 1, keep_features: 1, ..Versioned::new() };
     let depths = find(&model, &photos, &own);
     let rust =
         DepthModel::from_checkpoint(rust_device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).expect("a model");
@@ -69,8 +69,18 @@ fn depth_is_that_of_rust() {
     };
     assert_eq!((of_map.fx, of_map.translation), (cameras[1].intrinsics.fx, cameras[1].pose.translation.to_array()));
     assert_eq!((info.view_count, of_model.is_multi_view, of_model.patch_size), (photos.len(), 1, 14));
+    let tokens = rust.patch_tokens(&photos, &DepthOptions::default(), |_| Continue(())).expect("tokens");
+    let mut values = zs_pixel_values::new();
+    for (i, tokens) in tokens.iter().enumerate() {
+        ok(unsafe { zs_depth_result_get_patch_tokens(depths.handle, i, &mut values) });
+        let found = unsafe { std::slice::from_raw_parts(values.values, tokens.values.len()) };
+        assert!(found == tokens.values && tokens.values.iter().any(|value| *value != 0.0));
+    }
+    assert_eq!((values.width, values.height, info.channel_count), (SIDE / 14, SIDE / 14, tokens[0].channels));
     assert_eq!((of_model.precision, of_model.weight_bytes), (1, rust.weight_bytes()));
     let shared = find(&model, &photos, &zs_depth_options { input_size: SIDE, ..Versioned::new() });
+    let without = unsafe { zs_depth_result_get_patch_tokens(shared.handle, 0, &mut values) };
+    fails(without, ZS_ERROR_ARGUMENT, &["without features", "keep_features"]);
     let lenses = [0, 1].map(|i| get(&shared, i).1).map(|camera| [camera.fx, camera.fy]);
     assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
     assert_ne!(lenses[0], [cameras[0].intrinsics.fx, cameras[0].intrinsics.fy]);
@@ -118,6 +128,7 @@ fn wrong_arguments_are_named() {
         (zs_depth_options { input_size: 13, ..Versioned::new() }, ["longest side", "13"]),
         (zs_depth_options { camera_source: 2, ..Versioned::new() }, ["camera_source", "zs_camera_source"]),
         (zs_depth_options { per_view_focal: 2, ..Versioned::new() }, ["per_view_focal", "0 or 1"]),
+        (zs_depth_options { keep_features: 2, ..Versioned::new() }, ["keep_features", "0 or 1"]),
         (zs_depth_options { cameras: &camera, camera_count: 1, ..Versioned::new() }, ["number of cameras", "0 or 2"]),
     ] {
         let status = unsafe { zs_depth_predict(model.handle, images.as_ptr(), 2, &options, &mut null_mut()) };
@@ -129,6 +140,7 @@ fn wrong_arguments_are_named() {
             zs_depth_model_load(null(), null(), null(), null_mut()),
             zs_depth_predict(null(), null(), 0, null(), null_mut()),
             zs_depth_result_get_map(null(), 0, null_mut()),
+            zs_depth_result_get_patch_tokens(null(), 0, null_mut()),
             zs_depth_result_get_info(null(), null_mut()),
             zs_depth_model_get_info(null(), null_mut()),
             zs_depth_result_to_scene(null(), 0, null_mut()),

@@ -45,6 +45,11 @@ def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, pho
     assert len(means) > 100 and error.max() < 1e-4
     scene = found.to_scene(max_gaussians_per_patch=2)
     assert 0 < len(scene.means) <= 2 * count * height * width // 196
+    kept = depth_model.predict(photos[:1], input_size=SIDE, keep_features=True)
+    assert found.patch_tokens is None and kept.patch_tokens is not None
+    assert kept.patch_tokens.shape == (1, camera.height // 14, camera.width // 14, kept.patch_tokens.shape[3])
+    features, _ = scene.lift(list(kept.patch_tokens), [camera])
+    assert features.shape == (len(scene.means), kept.patch_tokens.shape[3]) and np.abs(features).max() > 0
     # Known cameras are returned, and arrays outlive their object.
     known = [
         zipsplat.Camera.from_fov(size[1], size[0], 60, camera_to_world=np.eye(4) + np.eye(4, k=3) * shift)

@@ -9,7 +9,8 @@ const PIXELS: usize = 8;
 fn depths(of: impl Fn(usize) -> DepthMap) -> DepthPrediction {
     let views = (0..2).map(of).collect();
     let times = StageTimes::default();
-    DepthPrediction { width: SIZE[0], height: SIZE[1], views, patch_size: 2, patches: None, times, peak_bytes: 0 }
+    let ([width, height], patches, patch_tokens) = (SIZE, None, Vec::new());
+    DepthPrediction { width, height, views, patch_size: 2, patches, patch_tokens, times, peak_bytes: 0 }
 }
 
 fn view(depth: impl Fn(usize) -> f32) -> DepthMap {

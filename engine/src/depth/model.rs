@@ -7,7 +7,7 @@ use crate::{
     Result,
     features::PixelValues,
     gpu::{Arena, Device, Plan, Progress, Recorder, Run},
-    ops::{Arithmetic, Parameters},
+    ops::{Arithmetic, Parameters, Rows},
     reconstruct::{Ratio, TokenSelection, check_cameras, planar, size_of},
     stages::{DepthArchitecture, Family},
     tune::KernelChoice,
@@ -39,11 +39,19 @@ pub struct DepthOptions {
     pub ratio: Ratio,
     /// Selection of those patches.
     pub token_selection: TokenSelection,
+    /// Whether to return [`DepthPrediction::patch_tokens`].
+    pub keep_features: bool,
 }
 
 impl Default for DepthOptions {
     fn default() -> Self {
-        Self { cameras: None, reference_view: None, ratio: Ratio::Fixed(1.0), token_selection: TokenSelection::KMEANS }
+        Self {
+            cameras: None,
+            reference_view: None,
+            ratio: Ratio::Fixed(1.0),
+            token_selection: TokenSelection::KMEANS,
+            keep_features: false,
+        }
     }
 }
 
@@ -106,7 +114,11 @@ impl DepthModel {
             patches.dedup();
         });
         let bytes = run.plan().arena_bytes() + self.weight_bytes();
-        Ok(DepthPrediction { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
+        let patch_tokens = match tensors.features {
+            Some(Rows { tensor, width, .. }) => PixelValues::of_patches(shape.grid, width, &run.read::<f32>(tensor)?),
+            None => Vec::new(),
+        };
+        Ok(DepthPrediction { patches, patch_tokens, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
     /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each image.
@@ -135,7 +147,7 @@ impl DepthModel {
         let shape =
             self.network.shape(images.len(), size, chosen, options.cameras.is_some(), options.reference_view)?;
         options.cameras.iter().try_for_each(|cameras| check_cameras(cameras, images))?;
-        Ok(shape)
+        Ok(DepthShape { keeps_features: options.keep_features, ..shape })
     }
 
     /// Records a plan, optionally observed.

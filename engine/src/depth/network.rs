@@ -1,7 +1,7 @@
 use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
-    ops::{Arithmetic, ParameterLayout},
+    ops::{Arithmetic, ParameterLayout, Rows},
     reconstruct::{Ratio, SelectedTokens, TokenSampling, TokenSelection, grid, no_camera_encoder},
     stages::{DepthArchitecture, DepthFeatures, DepthStages, Reference, ViewGrid, heads::HeadTensors},
 };
@@ -26,6 +26,8 @@ pub struct DepthShape {
     pub tokens: usize,
     /// Their selection.
     pub kept: TokenSampling,
+    /// Whether the last layer's features are an output.
+    pub keeps_features: bool,
 }
 
 pub(super) struct DepthInputs {
@@ -39,6 +41,8 @@ pub struct DepthTensors {
     pub(super) inputs: DepthInputs,
     pub(super) heads: HeadTensors,
     pub(super) selected: SelectedTokens,
+    /// Patch tokens of the last layer, if kept.
+    pub(super) features: Option<Rows>,
 }
 
 impl DepthNetwork {
@@ -77,7 +81,7 @@ impl DepthNetwork {
             None => Reference::View(0),
         };
         let (tokens, kept) = TokenSampling::of(grid, chosen)?;
-        Ok(DepthShape { grid, cameras, reference, tokens, kept })
+        Ok(DepthShape { grid, cameras, reference, tokens, kept, keeps_features: false })
     }
 
     /// Records a plan.
@@ -87,7 +91,9 @@ impl DepthNetwork {
         let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
         let deepest = *features.layers.last().expect("a network has output layers");
         let selected = kept.record(rec, self.parameters.nearest(), deepest, grid, tokens);
-        DepthTensors { inputs, heads, selected }
+        let features = shape.keeps_features.then_some(deepest);
+        features.iter().for_each(|features| rec.output(features.tensor));
+        DepthTensors { inputs, heads, selected, features }
     }
 
     pub(super) fn record_features(&self, rec: &mut Recorder, shape: DepthShape) -> (DepthInputs, DepthFeatures) {

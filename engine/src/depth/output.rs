@@ -1,6 +1,7 @@
 use crate::{
     Error, Result,
     cameras::{CameraEstimate, FocalView, RayMap, camera_to_world, decoded_camera, share_focal_lengths},
+    features::PixelValues,
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
@@ -32,6 +33,8 @@ pub struct DepthPrediction {
     pub patch_size: usize,
     /// Kept patches, ascending, unless all are kept.
     pub patches: Option<Vec<u32>>,
+    /// Patch tokens of the backbone's last layer, a cell per patch, of each view, if kept.
+    pub patch_tokens: Vec<PixelValues>,
     /// Time per stage.
     pub times: StageTimes,
     /// Arena and weight bytes.
@@ -238,7 +241,8 @@ pub(super) fn read(
     };
     let [width, height] = [grid.columns, grid.rows].map(|count| (count * grid.patch_size) as u32);
     let views = heads.views.iter().enumerate().map(view).collect::<Result<_>>()?;
-    Ok(DepthPrediction { width, height, views, patch_size: grid.patch_size, patches: None, times, peak_bytes })
+    let (patch_size, patches, patch_tokens) = (grid.patch_size, None, Vec::new());
+    Ok(DepthPrediction { width, height, views, patch_size, patches, patch_tokens, times, peak_bytes })
 }
 
 fn points(values: &[[f32; 4]]) -> Vec<[f32; 4]> {

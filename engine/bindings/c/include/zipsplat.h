@@ -896,6 +896,9 @@ typedef struct zs_depth_options {
     zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
+    // 1 keeps zs_depth_result_get_patch_tokens.
+    uint32_t keep_features;
+    uint32_t reserved;
 } zs_depth_options;
 
 // Description of a depth result.
@@ -904,6 +907,8 @@ typedef struct zs_depth_result_info {
     uint32_t reserved;
     // Number of photos.
     size_t view_count;
+    // Channels of zs_depth_result_get_patch_tokens; 0 without features.
+    size_t channel_count;
 } zs_depth_result_info;
 
 // Depth of a photo. Arrays are `[height][width]`.
@@ -952,6 +957,11 @@ zs_status zs_depth_result_get_info(const struct zs_depth_result *depths, struct 
 
 // Returns the map of photo `index`.
 zs_status zs_depth_result_get_map(const struct zs_depth_result *depths, size_t index, struct zs_depth_map *map);
+
+// Returns the patch tokens of the backbone's last layer, a cell per patch of photo `index`'s map.
+zs_status zs_depth_result_get_patch_tokens(const struct zs_depth_result *depths,
+                                           size_t index,
+                                           struct zs_pixel_values *tokens);
 
 // Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
 // Patches of 14 x 14 pixels keep their `max_gaussians_per_patch` most visible ones; 0 keeps all.

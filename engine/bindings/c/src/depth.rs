@@ -3,7 +3,7 @@
 use super::{
     camera::zs_camera,
     device::zs_device,
-    image::zs_image,
+    image::{zs_image, zs_pixel_values},
     model::{zs_precision, zs_precision_value},
     pointers::{
         Versioned, borrow, c_text, describe, destroy, element, flag, meaning, produce, read_array, read_versioned, text,
@@ -84,6 +84,8 @@ pub struct zs_depth_options {
     pub cameras: *const zs_camera,
     pub progress: zs_progress_callback,
     pub user_data: *mut c_void,
+    pub keep_features: u32,
+    pub reserved: u32,
 }
 
 #[repr(C)]
@@ -92,6 +94,7 @@ pub struct zs_depth_result_info {
     pub struct_size: u32,
     pub reserved: u32,
     pub view_count: usize,
+    pub channel_count: usize,
 }
 
 #[repr(C)]
@@ -111,7 +114,7 @@ pub struct zs_depth_map {
 versioned!(
     zs_depth_model_options,
     zs_depth_model_info,
-    zs_depth_options,
+    zs_depth_options { reserved },
     zs_depth_result_info { reserved },
     zs_depth_map { reserved }
 );
@@ -195,7 +198,8 @@ pub unsafe extern "C" fn zs_depth_predict(
         let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| view.map.camera(camera, &format!("camera {i}"));
         let of_views: Vec<Camera> = known.iter().zip(&views).enumerate().map(of_view).collect::<Result<_, _>>()?;
         let known_cameras = (!known.is_empty()).then_some(of_views);
-        let request = DepthOptions { cameras: known_cameras.clone(), ..DepthOptions::default() };
+        let keep_features = flag("keep_features", options.keep_features)?;
+        let request = DepthOptions { cameras: known_cameras.clone(), keep_features, ..DepthOptions::default() };
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |now: Progress<'_>| reporter.fraction(now.scope, now.fraction);
         let mut depths = model.predict(&images, &request, progress)?;
@@ -236,8 +240,10 @@ pub unsafe extern "C" fn zs_depth_result_get_info(
     depths: *const zs_depth_result,
     info: *mut zs_depth_result_info,
 ) -> zs_status {
-    let of =
-        |depths: &zs_depth_result| Ok(zs_depth_result_info { view_count: depths.images.len(), ..Versioned::new() });
+    let of = |zs_depth_result { depths, images, .. }: &zs_depth_result| {
+        let channel_count = depths.patch_tokens.first().map_or(0, |tokens| tokens.channels);
+        Ok(zs_depth_result_info { view_count: images.len(), channel_count, ..Versioned::new() })
+    };
     // SAFETY: the caller's arguments.
     unsafe { describe(depths, "depths", info, of) }
 }
@@ -265,6 +271,20 @@ pub unsafe extern "C" fn zs_depth_result_get_map(
     };
     // SAFETY: the caller's arguments.
     unsafe { describe(depths, "depths", map, of) }
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depth_result_get_patch_tokens(
+    depths: *const zs_depth_result,
+    index: usize,
+    tokens: *mut zs_pixel_values,
+) -> zs_status {
+    let of = |zs_depth_result { depths, .. }: &zs_depth_result| match &depths.patch_tokens[..] {
+        [] => Err(Failure::argument("depths", "without features", "those of zs_depth_predict with keep_features = 1")),
+        all => Ok(element(all, index)?.into()),
+    };
+    // SAFETY: the caller's arguments.
+    unsafe { describe(depths, "depths", tokens, of) }
 }
 
 #[unsafe(no_mangle)]

@@ -7,6 +7,7 @@ use super::{
 use std::ffi::{c_char, c_void};
 use zipsplat::{
     Error, Result,
+    features::PixelValues,
     types::{Image, MAX_DECODED_BYTES, MAX_SIDE, MaskSource, Masks},
 };
 
@@ -77,6 +78,12 @@ pub struct zs_pixel_values {
 }
 
 versioned!(zs_image, zs_masks, zs_pixel_values { reserved });
+
+impl From<&PixelValues> for zs_pixel_values {
+    fn from(PixelValues { width, height, values, .. }: &PixelValues) -> Self {
+        Self { width: *width, height: *height, values: values.as_ptr(), ..Versioned::new() }
+    }
+}
 
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}

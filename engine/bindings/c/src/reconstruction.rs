@@ -156,10 +156,7 @@ pub unsafe extern "C" fn zs_reconstruction_get_patch_tokens(
     index: usize,
     tokens: *mut zs_pixel_values,
 ) -> zs_status {
-    let of = |reconstruction: &zs_reconstruction| {
-        let PixelValues { width, height, values, .. } = element(reconstruction.patch_tokens()?, index)?;
-        Ok(zs_pixel_values { width: *width, height: *height, values: values.as_ptr(), ..Versioned::new() })
-    };
+    let of = |reconstruction: &zs_reconstruction| Ok(element(reconstruction.patch_tokens()?, index)?.into());
     // SAFETY: the caller's arguments.
     unsafe { describe(reconstruction, "reconstruction", tokens, of) }
 }

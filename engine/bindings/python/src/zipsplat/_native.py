@@ -214,6 +214,16 @@ def array_at(
     return np.asarray(_Memory(owner, int(ffi.cast("uintptr_t", pointer)), shape, kind, writable))
 
 
+def patch_tokens(kind: str, handle: Handle, views: int, channels: int) -> npt.NDArray[np.float32]:
+    """Returns [views, rows, columns, channels] patch tokens of a reconstruction or depth result."""
+    tokens = []
+    for index in range(views):
+        found = structure("pixel_values")
+        call(f"zs_{kind}_get_patch_tokens", handle, index, found)
+        tokens.append(array_at(handle, found.values, (found.height, found.width, channels)))
+    return np.stack(tokens)
+
+
 def raise_later(_kind: object, value: BaseException, _trace: object) -> None:
     """Makes the running call raise an exception of its callback, Ctrl-C included."""
     _thread.raised = value

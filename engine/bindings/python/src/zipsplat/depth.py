@@ -7,7 +7,7 @@ from typing import Any, Literal, Optional, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, Owner, array_at, call, choose, lib, positive, structure, text, warned
+from ._native import Handle, Owner, array_at, call, choose, lib, patch_tokens, positive, structure, text, warned
 from .cameras import Camera, PathLike, from_native
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, opened
@@ -32,6 +32,8 @@ class DepthPrediction:
         cameras: Cameras of the depth maps, which unproject them, in a common world; None for
             unknown ones.
         image_cameras: Cameras of the whole photos; None for unknown ones.
+        patch_tokens: [photos, rows, columns, channels] patch tokens of the backbone's last layer,
+            for Scene.lift with `cameras`; None unless kept.
     """
 
     def __init__(self, handle: Handle, count: int, device: Device) -> None:
@@ -43,6 +45,12 @@ class DepthPrediction:
         self.sky: Optional[npt.NDArray[np.float32]] = _stacked(sky)
         self.cameras: list[Optional[Camera]] = list(cameras)
         self.image_cameras: list[Optional[Camera]] = list(image_cameras)
+        info = structure("depth_result_info")
+        call("zs_depth_result_get_info", handle, info)
+        channels: int = info.channel_count
+        self.patch_tokens: Optional[npt.NDArray[np.float32]] = (
+            patch_tokens("depth_result", handle, count, channels) if channels else None
+        )
 
     def to_scene(self, *, max_gaussians_per_patch: Optional[int] = None) -> Scene:
         """Creates a Gaussian per confident pixel, in the cameras' world.
@@ -135,6 +143,7 @@ class DepthModel(Owner):
         input_size: Optional[int] = None,
         camera_source: CameraSource = "decoder",
         per_view_focal: bool = False,
+        keep_features: bool = False,
         progress: Optional[ProgressFunction] = None,
     ) -> DepthPrediction:
         """Estimates depth of 1 to 192 photos of one place; multi-view networks also cameras.
@@ -146,6 +155,7 @@ class DepthModel(Owner):
                 width, 518 by default.
             camera_source: "decoder", or "rays", which also estimates the principal point.
             per_view_focal: Estimates a focal length per photo instead of one per photo size.
+            keep_features: Whether to return patch_tokens.
             progress: Called with the Progress. Returning False raises CancelledError; its
                 exceptions propagate.
 
@@ -166,6 +176,7 @@ class DepthModel(Owner):
             input_size=0 if input_size is None else positive("input_size", input_size),
             camera_source=choose("camera_source", camera_source, _CAMERA_SOURCES),
             per_view_focal=int(per_view_focal),
+            keep_features=int(keep_features),
             cameras=known,
             camera_count=len(known),
             **callback.fields,

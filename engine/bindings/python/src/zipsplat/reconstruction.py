@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ._header import NUMBERS
-from ._native import Handle, Owner, array_at, call, choose, lib, structure, text, warned
+from ._native import Handle, Owner, call, choose, lib, patch_tokens, structure, text, warned
 from .cameras import Camera, from_native
 from .device import Device
 from .errors import ArgumentError
@@ -136,13 +136,7 @@ class Reconstruction(Owner, Scene):
         Raises:
             ArgumentError: no features are kept.
         """
-        views = []
-        for index in range(self._views):
-            found = structure("pixel_values")
-            call("zs_reconstruction_get_patch_tokens", self._handle, index, found)
-            shape = (found.height, found.width, self.channel_count)
-            views.append(array_at(self._handle, found.values, shape))
-        return np.stack(views)
+        return patch_tokens("reconstruction", self._handle, self._views, self.channel_count)
 
     def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
         if target == "tokens":
