@@ -138,7 +138,7 @@ fn refinements_continue_from_checkpoints() {
     let (whole, _) = made(place.in_c(&zs_refine_options { steps: 9, ..Versioned::new() }));
     assert_same("scene", &bits(&resumed), &bits(&whole));
     place.photos[3].rgb[0] ^= 1;
-    fails(place.in_c(&options).expect_err("an error"), ZS_ERROR_ARGUMENT, &["state", "photos differ"]);
+    fails(place.in_c(&options).err().expect("an error"), ZS_ERROR_ARGUMENT, &["state", "photos differ"]);
 }
 
 #[test]
