@@ -376,7 +376,9 @@ fn earlier_names_of_options() {
     folder.run("view @/place/splats.ply --exact --group 4 -o @/page.html").success();
     let micro = "--weights @/micro.safetensors --size 28x28";
     let words = "--pictures @/drawn -- --orbit --frames 1 --size 8x8 --group 4";
-    folder.run(&format!("reconstruct @/photos {micro} --refine=1:tokens -o @/a.ply {words}")).fails_usage();
+    folder
+        .run(&format!("reconstruct @/photos {micro} --refine=1:tokens --colmap @/none -o @/a.ply {words}"))
+        .fails(3, &["COLMAP"]);
     folder.run(&format!("reconstruct @/photos {micro} -o @/a.ply {words}")).success();
     let eval = format!("eval @/place --views 2 --lpips none {micro}");
     folder.run(&format!("{eval} --score-size 14x14 --whole --disturb 1 --refine 1:tokens --start scene")).success();

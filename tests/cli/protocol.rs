@@ -199,7 +199,7 @@ fn a_protocol_aligns_cameras() {
     let [usual, adam, none] = [figure("", "a"), figure("--align adam", "b"), figure("--align none", "c")];
     assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
     folder.run(&format!("{line} --align hope -o @/d")).fails_usage();
-    let by_default = format!("{} --align none -o @/e", line.replace("--lpips none", ""));
+    let by_default = format!("{} --align none -o @/e", line.replace("--lpips none", "").replace("--json", ""));
     match lpips_weights(LpipsNetwork::Vgg) {
         Some(_) => drop(folder.run(&by_default).success()),
         None => folder.run(&by_default).fails(3, &["--lpips", "lpips_vgg.safetensors", "--lpips none"]),
@@ -315,8 +315,12 @@ fn scenes_that_fail_are_listed() {
     let uneven = r#"{"one": {"context": [0], "target": [1]}, "two": {"context": [0, 1], "target": [2]}}"#;
     refuses(uneven, &["two", "found 2 of context, expected 1"]);
     refuses(r#"{"three": {"context": [0], "target": [1]}}"#, &["--indices", "none of the scenes"]);
-    folder.run("eval @/photos --protocol re10k -o @/out2").fails(3, &["scene of RealEstate10K", "camera file"]);
-    folder.run("eval @/data @/data/one --protocol dl3dv -o @/out2").fails(3, &["scene one", "one of this name"]);
+    folder
+        .run("eval @/photos --protocol re10k --lpips none -o @/out2")
+        .fails(3, &["scene of RealEstate10K", "camera file"]);
+    folder
+        .run("eval @/data @/data/one --protocol dl3dv --lpips none -o @/out2")
+        .fails(3, &["scene one", "one of this name"]);
     folder.run("eval @/data --protocol dl3dv").fails_usage();
     folder.run("eval @/data --frame-range 50").fails_usage();
     folder.run("eval @/data @/photos @/data").fails(3, &["folders", "one capture"]);

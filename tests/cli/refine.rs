@@ -236,6 +236,7 @@ fn reconstructions_are_refined() {
     assert!(text.contains("against 199 photos"), "{text}");
     let wrong = line.replace("--json", "--refine=8 --refine-target tokens --init points -o @/none.ply");
     folder.run(&wrong).fails(3, &["--init", "tokens"]);
-    assert_eq!(folder.run("reconstruct @/photos --weights @/micro.safetensors --refine -o @/none.ply").code, 2);
+    let unfound = "reconstruct @/photos --weights @/micro.safetensors --refine --colmap @/none -o @/none.ply";
+    folder.run(unfound).fails(3, &["COLMAP"]);
     assert!(!folder.path("none.ply").exists());
 }

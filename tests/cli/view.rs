@@ -197,7 +197,7 @@ fn photos_and_scenes_have_options_of_their_own() {
     folder.run(&format!("{photos} --gaussians-per-token 4")).fails(3, &["--gaussians-per-token", "a scene's file"]);
     folder.run(&format!("{photos} --ratios 0.5,2")).fails(3, &["--ratios", "2", "(0, 1]"]);
     folder.run(&format!("{photos} --ratios 1,.9,.8,.7,.6,.5,.4,.3,.2")).fails(3, &["--ratios", "9", "at most 8"]);
-    folder.run(&format!("{photos} --refine=5")).fails_usage();
+    folder.run(&format!("{photos} --refine=5 --colmap @/none")).fails(3, &["COLMAP"]);
     folder.run("view @/photos --weights @/micro.safetensors --ratios 0.5").fails(3, &["--ratios", "served"]);
     assert!(!folder.path("page.html").exists());
 }
