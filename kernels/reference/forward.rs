@@ -31,8 +31,8 @@ pub struct Tokens {
     pub taps: Taps,
 }
 
-/// Computes tokens of images and known cameras; the backbone's attention across views pools `side` x
-/// `side` patches.
+/// Computes tokens of images and known cameras; the backbone's attention across views pools
+/// `side` x `side` patches.
 pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usize) -> Tokens {
     let architecture = &model.architecture;
     let mut taps = Taps::new();

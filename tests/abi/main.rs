@@ -24,5 +24,6 @@ mod memory;
 mod notes;
 mod random_calls;
 mod refine;
+mod refine_tokens;
 mod same_bits;
 mod threads;

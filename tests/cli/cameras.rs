@@ -285,7 +285,9 @@ fn other_commands_find_cameras_too() {
     assert!(outcome.err.contains("cameras found: 4 of 4 photos, 5 points, by COLMAP 3.8"), "{}", outcome.err);
     assert_eq!(outcome.json()["photos"], 4);
     let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
-    let refined = format!("reconstruct @/place/images --refine=1 --colmap @/colmap {micro} -o @/refined.ply --json");
+    let refined = format!(
+        "reconstruct @/place/images --refine=1 --world input-cameras --colmap @/colmap {micro} -o @/r.ply --json"
+    );
     assert_eq!(folder.run(&refined).json()["refined"]["steps"], 1);
     let again = format!("reconstruct @/place/images --cameras @/place/found.json {micro} -o @/scene.ply");
     folder.run(&again).success();

@@ -2,9 +2,9 @@
 
 import json
 import os
-import resource
 import shlex
 import subprocess
+import time
 from pathlib import Path
 
 COMMAND = shlex.split(os.environ.get("ZIPSPLAT", "")) or [str(Path(__file__).parent.parent / "zipsplat")]
@@ -19,9 +19,8 @@ def zipsplat(*words):
     return json.loads(run.stdout)["result"]
 
 
-def timed(*words):
-    """Returns a command's JSON result and its CPU seconds."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    said = zipsplat(*words)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return said, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+def timed(work, *words):
+    """Returns the result of a function that runs commands, their seconds and CPU seconds."""
+    began, before = time.monotonic(), os.times()
+    result = work(*words)
+    return result, time.monotonic() - began, sum(os.times()[2:4]) - sum(before[2:4])

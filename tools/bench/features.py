@@ -13,7 +13,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from command import timed
+from command import timed, zipsplat
 
 GROUP, SIDE, CELLS = 32, 252, 18
 FRAME = {"file_path": "a.png", "transform_matrix": np.diag([1, -1, -1, 1]).tolist()}
@@ -36,8 +36,8 @@ def measure(out, scene, group):
     """Returns the CPU seconds of lifting and drawing."""
     cameras, features = ["--cameras", out / "cameras.json"], out / "features.safetensors"
     grouped = ["--gaussians-per-token", group, "-o", features, "--overwrite"]
-    _, lift = timed("lift", scene, out / "values", *cameras, *grouped)
-    _, draw = timed("render", scene, *cameras, "--features", features, "-o", out / "pictures", "--overwrite")
+    _, _, lift = timed(zipsplat, "lift", scene, out / "values", *cameras, *grouped)
+    _, _, draw = timed(zipsplat, "render", scene, *cameras, "--features", features, "-o", out / "pictures", "--overwrite")
     return lift, draw
 
 

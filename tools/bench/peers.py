@@ -32,7 +32,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from command import timed
+from command import timed, zipsplat
 from PIL import Image
 
 SHOWN = 12  # largest number of held-out photos in eval's comparison.png
@@ -76,7 +76,8 @@ def evaluate(args, capture, folder, *words):
     frames = json.loads((capture / "transforms.json").read_text())["frames"]
     views = args.views or (16 if len(frames) >= 20 else 10)
     shape = ["--views", views, "--eval-size", f"{args.size}x{args.size}", "--lpips", "none"]
-    return timed("eval", capture, *shape, *words, *shlex.split(args.options), "-o", folder)
+    said, _, cpu = timed(zipsplat, "eval", capture, *shape, *words, *shlex.split(args.options), "-o", folder)
+    return said, cpu
 
 
 def refine(args, capture, seconds, folder):

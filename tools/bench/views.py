@@ -14,12 +14,11 @@ import json
 import os
 import shlex
 import subprocess
-import time
 from pathlib import Path
 from statistics import fmean
 
 import matplotlib.pyplot as plt
-from command import COMMAND, zipsplat
+from command import COMMAND, timed, zipsplat
 
 STAGES = {"backbone": "#264653", "cluster": "#e9c46a", "fuse": "#2a9d8f", "gaussians": "#e76f51"}
 COLUMNS = {
@@ -52,9 +51,8 @@ def arguments():
 
 def measured(args, work, *words):
     """Returns a command's result and its seconds."""
-    clock = (lambda: sum(os.times()[2:4]) / os.cpu_count()) if args.cpu else time.monotonic
-    began = clock()
-    return work(*words), clock() - began
+    result, seconds, cpu = timed(work, *words)
+    return result, cpu / os.cpu_count() if args.cpu else seconds
 
 
 def draw(scene, pictures):

@@ -122,7 +122,9 @@ impl LpipsOption {
         match Perceptual::file(network, cache) {
             Ok(path) => Ok(Some((network, path))),
             Err(error) if self.lpips.is_some() => Err(error),
-            Err(error) if required => Err(Error::argument("--lpips", error, "its weights, or --lpips none")),
+            Err(error) if required => {
+                Err(Error::argument("--lpips", format!("no weights ({error})"), "its weights, or --lpips none"))
+            }
             Err(_) => Ok(None),
         }
     }

@@ -137,8 +137,8 @@ pub struct Quality {
     /// random[:SEED], or a text file of indices, whose number replaces --ratio
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub token_selection: TokenSelection,
-    /// Average the keys and values of the backbone's cross-view attention over SxS patches, S from 1
-    /// to 4: faster, less exact
+    /// Average keys and values of the backbone's cross-view attention over SxS patches, S from 1 to
+    /// 4: faster, less exact
     #[arg(long, value_name = "S", default_value = "1")]
     pub kv_pool: usize,
     /// Keep only the N most visible Gaussians per token

@@ -55,13 +55,13 @@ fn results_are_independent_of_the_memory_for_photos() {
     let (kept, left) = refine_opened(&photos, 500, u64::MAX);
     assert_eq!((kept.stop_reason, kept.losses.len(), left), (None, 20, 494));
     // Three of six photos fit 20,000 bytes.
-    let mut before = left;
+    let mut before = (left, kept.photo_bytes);
     for max_photo_bytes in [20_000, 0] {
         let (opened, left) = refine_opened(&photos, 500, max_photo_bytes);
         assert!(opened.scene == kept.scene && opened.losses == kept.losses, "{max_photo_bytes}");
-        assert!(left < before, "{max_photo_bytes}: {left}");
-        assert!(opened.photo_bytes <= max_photo_bytes, "{}", opened.photo_bytes);
-        before = left;
+        let now = (left, opened.photo_bytes);
+        assert!(now.0 < before.0 && now.1 < before.1 && now.1 <= max_photo_bytes, "{max_photo_bytes}: {now:?}");
+        before = now;
     }
 }
 

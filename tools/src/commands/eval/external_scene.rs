@@ -27,7 +27,7 @@ pub struct ExternalScene {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "max_gaussians_per_token", "pose_noise", "crop"])]
     scene: Option<PathBuf>,
     /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth, without
-    /// reconstruction. Reads a file of FOLDER for each photo, as --depth-loss. With --protocol
+    /// reconstruction. FOLDER has the photos' depth, as for --depth-loss; with --protocol,
     /// FOLDER/SCENE. --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "max_gaussians_per_token", "pose_noise", "crop", "pose_free"])]
     from_depth: Option<PathBuf>,

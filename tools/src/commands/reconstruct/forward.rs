@@ -71,7 +71,7 @@ impl Forward {
         } else if command.weights.is_builtin() && poses.is_none() && photos.len() > 1 {
             session.note(
                 "the model that is built in is a demonstration: several photos without cameras give colors and coarse shapes; \
-                 --refine, which finds cameras with COLMAP, gives sharp scenes, the paper's weights (`zipsplat weights get zipsplat`) better ones at once",
+                 --refine gives sharp scenes, with cameras by COLMAP; `zipsplat weights get zipsplat` gets the paper's weights",
             );
         }
         Ok(Planned { command, checkpoint, posed, size })

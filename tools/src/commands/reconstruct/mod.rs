@@ -22,7 +22,7 @@ use crate::{
     views::CropOption,
 };
 use captured::Captured;
-use clap::{Arg, Args};
+use clap::{Arg, ArgGroup, Args};
 use each::Batch;
 use forward::{Forward, LOAD_WEIGHTS};
 use refined::{From, RefineInputs, RefinedScene};
@@ -60,7 +60,7 @@ const REFINEMENT: &str = "Refinement";
 /// and the network also estimates the cameras. --input-size is then the longer side, and
 /// --max-gaussians-per-token limits the pixels of a patch.
 #[derive(Args)]
-#[command(mut_args(adapted), after_help = format!("Examples:
+#[command(group(ArgGroup::new("posed").args(["cameras", "refine"]).multiple(true)), mut_args(adapted), after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --refine -o sharp.ply
   zipsplat reconstruct photos/ --cameras transforms.json --refine -o sharp.ply
@@ -107,10 +107,10 @@ pub struct Reconstruct {
     /// Length of the network's unit in the cameras' unit; the scene keeps the cameras' unit
     /// [default: the median distance of the capture's points (points.ply or points3D) from the
     /// first camera, else of the point that the cameras look at, else the distance between cameras]
-    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
+    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "posed", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// World of the scene
-    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "cameras")]
+    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "posed")]
     world: WorldName,
     /// Reconstruct each capture in PHOTOS: folders with photos, directly or in images/, folders of
     /// captures, or text files with a capture per line. The output is a folder. Run the command
