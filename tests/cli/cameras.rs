@@ -3,7 +3,7 @@
 
 use crate::{Folder, Outcome};
 use std::{ffi::OsString, fs, path::Path, sync::atomic::AtomicBool};
-use zipsplat::types::{Camera, Scene, poses::CaptureView, quaternion_from_matrix, read_points};
+use zipsplat::types::{Camera, Scene, median, poses::CaptureView, quaternion_from_matrix, read_points};
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
 
@@ -326,17 +326,25 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     }
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 16 --size 640x480 -o @/place").success();
-    let truth = folder.capture("place").frames;
-    let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
-    // COLMAP is not deterministic: a photo may be lost, a camera off.
-    assert!(json["registered"].as_u64() >= Some(12), "{json}");
-    let found = folder.capture("place/found.json");
-    let points = read_points(found.points.expect("points")).expect("points").positions;
-    assert!(points.len() > 50, "{} points", points.len());
+    // COLMAP is not deterministic: a photo may be lost, rarely a whole model is bent.
+    let mut tries = (0..3).map(|_| {
+        let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
+        let found = folder.capture("place/found.json");
+        let points = read_points(found.points.expect("points")).expect("points").positions.len();
+        let (angle, scale) = deviations(&found.frames, &folder.capture("place").frames);
+        let right = json["registered"].as_u64() >= Some(12) && points > 50 && angle < 1.0 && scale < 0.05;
+        if right { Ok(()) } else { Err(format!("{json}, {points} points, {angle} degrees, {scale} in distances")) }
+    });
+    let first = tries.next().expect("a try");
+    first.or_else(|why| tries.find_map(Result::ok).ok_or(why)).expect("cameras near the true ones");
+}
+
+/// Median deviations of all pairs of cameras: angles in degrees, distances relative to their median.
+fn deviations(found: &[CaptureView], truth: &[CaptureView]) -> (f64, f64) {
     let stem = |frame: &CaptureView| Path::new(&frame.name).file_stem().map(ToOwned::to_owned);
     let true_camera =
         |frame: &CaptureView| truth.iter().find(|other| stem(other) == stem(frame)).expect("a photo").camera;
-    let cameras: Vec<[Camera; 2]> = found.frames.iter().map(|frame| [frame.camera, true_camera(frame)]).collect();
+    let cameras: Vec<[Camera; 2]> = found.iter().map(|frame| [frame.camera, true_camera(frame)]).collect();
     let (mut angles, mut scales) = (Vec::new(), Vec::new());
     for (i, one) in cameras.iter().enumerate() {
         for other in &cameras[..i] {
@@ -346,13 +354,9 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
             scales.push(found.translation.length() / truth.translation.length());
         }
     }
-    let median = |values: &mut Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
-    };
-    let (angle, scale) = (median(&mut angles), median(&mut scales));
-    let mut shares: Vec<f64> = scales.iter().map(|other| (other / scale - 1.0).abs()).collect();
-    assert!(angle < 1.0 && median(&mut shares) < 0.05, "{angle} degrees: {angles:?}, {scales:?}");
+    let median = |values: Vec<f64>| median(values).unwrap_or(f64::NAN);
+    let scale = median(scales.clone());
+    (median(angles), median(scales.iter().map(|other| (other / scale - 1.0).abs()).collect()))
 }
 
 #[test]

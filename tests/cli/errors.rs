@@ -120,6 +120,14 @@ fn numbers() {
         4,
         &["MiB of device memory are missing", "--max-memory allows 100.00 KiB"],
     );
+    for device in ["", "--device none "] {
+        let planned = folder.run(&format!("{device}reconstruct --dry-run --views 2 {little}")).success();
+        assert!(
+            planned.err.contains("a run would be refused") && planned.err.contains("100.00 KiB"),
+            "{}",
+            planned.err
+        );
+    }
 }
 
 #[test]

@@ -129,8 +129,7 @@ fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
 }
 
 fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &Stage<'_>) -> Result<Vec<PathBuf>> {
-    let numbers: Vec<String> = chosen.iter().map(|frame| format!("eq(n,{frame})")).collect();
-    let filter = format!("select='{}',{REGULAR}", numbers.join("+"));
+    let filter = format!("select='{}',{REGULAR}", any_of(chosen));
     let stem = video.file_stem().unwrap_or_default().to_string_lossy();
     let mut photos = Vec::new();
     decode(
@@ -152,6 +151,18 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
         return Err(Error::format(video, None, reason));
     }
     Ok(photos)
+}
+
+/// Expression of ffmpeg that is not 0 for these frames. ffmpeg refuses sums of more than 100 terms
+/// without parentheses.
+fn any_of(frames: &[usize]) -> String {
+    match frames {
+        [frame] => format!("eq(n,{frame})"),
+        _ => {
+            let (first, second) = frames.split_at(frames.len() / 2);
+            format!("({}+{})", any_of(first), any_of(second))
+        }
+    }
 }
 
 fn laplacian_variance(gray: &[u8], width: usize) -> f64 {
@@ -178,6 +189,12 @@ mod tests {
         assert_eq!(sharpest(&sharpness, 1), [4]);
         assert_eq!(sharpest(&sharpness, 100), [0, 1, 2, 3, 4, 5, 6]);
         assert!(sharpest(&[], 3).is_empty());
+    }
+
+    #[test]
+    fn sums_are_nested() {
+        assert_eq!(any_of(&[7]), "eq(n,7)");
+        assert_eq!(any_of(&[1, 2, 3, 40]), "((eq(n,1)+eq(n,2))+(eq(n,3)+eq(n,40)))");
     }
 
     #[test]

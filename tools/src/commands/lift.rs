@@ -11,7 +11,6 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Camera, Result, Scene,
     features::{FeatureRenderer, LiftMemory, PixelValues},
-    gpu::Limits,
     types::read_world,
 };
 
@@ -114,9 +113,11 @@ impl Lift {
     }
 
     fn plan(&self, session: &mut Session<'_>, scene: &Scene, cameras: &[Camera], first: &PixelValues) -> Result<()> {
-        let limits = session.planned_device()?.map_or_else(Limits::default, |device| device.limits().clone());
+        let device = session.planned_device()?;
+        let limits = device.map_or_else(|| session.ordinary_limits(), |device| device.limits().clone());
         let (channels, cells) = (first.channels, [first.width, first.height]);
         let plan = LiftMemory::of(&limits, scene, cameras, self.gaussians_per_token, channels, cells)?;
+        session.note_excess(plan.total(), &limits);
         let json = json!({
             "device": limits.name, "channels": channels, "photos": cameras.len(), "peak_bytes": plan.total(),
             "scene_bytes": plan.scene, "feature_bytes": plan.features, "arena_bytes": plan.arena, "parts": plan.parts,

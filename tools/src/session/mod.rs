@@ -17,7 +17,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    gpu::{Device, DeviceOptions, Progress},
+    gpu::{Device, DeviceOptions, Limits, Progress},
     ops::{Arithmetic, Precision},
     reconstruct::{Block, Model, ReconstructOptions, Reconstruction, SceneTokens},
     tune::KernelChoice,
@@ -131,6 +131,20 @@ impl<'a> Session<'a> {
             }
             found => found.map(Some),
         }
+    }
+
+    /// Notes a planned peak above the memory of the device or `--max-memory`.
+    pub fn note_excess(&mut self, peak: u64, limits: &Limits) {
+        if peak > limits.memory_bytes {
+            let (peak, limit) = (bytes(peak), bytes(limits.memory_bytes));
+            self.note(format_args!("a run would be refused: it takes {peak} of memory, allowed are {limit}"));
+        }
+    }
+
+    /// Limits of an ordinary device, and `--max-memory`.
+    pub fn ordinary_limits(&self) -> Limits {
+        let limits = Limits::default();
+        Limits { memory_bytes: self.global.max_memory.unwrap_or(limits.memory_bytes), ..limits }
     }
 
     fn names_device(&self) -> bool {

@@ -98,6 +98,8 @@ fn show_tokens(
     // Sum of separate arenas.
     let own = refined.as_ref().map_or(0, RefinePlan::arena_bytes);
     let separate = weights + scene + kept + plan.arena_bytes() + own + Arena::LANES as u64 * of_pictures;
+    let peak = weights + scene + arena + kept;
+    session.note_excess(peak, &limits);
     let rows = plan.arena_map();
     let (commands, flops) = (blocks.count * plan.len(), blocks.count as u64 * plan.flops());
     let all = seen * shape.grid.patches();
@@ -105,7 +107,7 @@ fn show_tokens(
     let json = json!({
         "device": limits.name, "views": views, "tokens": tokens, "commands": commands, "flops": flops,
         "blocks": blocks::plan_as_json(&blocks),
-        "precision": precision.name(), "peak_bytes": weights + scene + arena + kept, "weight_bytes": weights,
+        "precision": precision.name(), "peak_bytes": peak, "weight_bytes": weights,
         "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own),
         "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
     });
@@ -117,7 +119,7 @@ fn show_tokens(
         counted(all, "token"),
         precision.name(),
         device_name(&limits),
-        bytes(weights + scene + arena + kept)
+        bytes(peak)
     );
     text += &blocks::plan_summary(&blocks).map_or(String::new(), |summary| format!("{summary}, a pass each\n"));
     text += &format!(
@@ -162,6 +164,7 @@ fn show_depth(
     let shape = network.shape(views, [size.0, size.1], (*ratio, token_selection), posed, None)?;
     let (plan, _) = network.plan(&limits, shape)?;
     let (weights, arena, rows) = (network.weight_bytes(), plan.arena_bytes(), plan.arena_map());
+    session.note_excess(weights + arena, &limits);
     let json = json!({
         "device": limits.name, "network": checkpoint.architecture().name, "views": views, "tokens": shape.tokens,
         "commands": plan.len(), "flops": plan.flops(), "precision": precision.name(), "peak_bytes": weights + arena,
@@ -212,7 +215,7 @@ fn target(session: &mut Session<'_>, option: &ArithmeticOption) -> Result<(Limit
         let (precision, arithmetic) = option.choose(session, &device)?;
         return Ok((device.limits().clone(), precision, arithmetic));
     }
-    let limits = Limits::default();
+    let limits = session.ordinary_limits();
     let (precision, arithmetic) = option.planned(&limits);
     Ok((limits, precision, arithmetic))
 }
