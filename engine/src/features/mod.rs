@@ -1,9 +1,8 @@
 //! Features: values of any number of channels, held by Gaussians or by tokens.
 //!
-//! [`FeatureRenderer::lift`] averages pixel values over photos: a Gaussian's feature is the mean of
-//! all pixels' values, weighted by its blending weights. [`FeatureRenderer::draw`] renders features
-//! as pictures of as many channels. Tokens' features need memory for one row per token instead of
-//! one per Gaussian.
+//! [`FeatureRenderer::lift`] averages pixel values over photos, weighted by each Gaussian's
+//! blending weights. [`FeatureRenderer::draw`] renders features as pictures. Tokens' features need
+//! one row per token instead of one per Gaussian.
 
 mod memory;
 mod plan;

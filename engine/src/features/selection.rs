@@ -7,8 +7,8 @@ use std::iter::zip;
 const NEIGHBORS: usize = 8;
 
 impl Lifted {
-    /// Returns the features of a scene's Gaussians after edits or reordering: `sources` are those
-    /// that they were. Features of tokens become those of the tokens' Gaussians.
+    /// Returns the features of a scene's Gaussians after edits or reordering: `sources` are their
+    /// former indices. Features of tokens become those of the tokens' Gaussians.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -29,7 +29,7 @@ impl Lifted {
         if others != own {
             return Err(Error::argument("features to append", others, format!("{own} channels")));
         }
-        // Scenes of other tokens have one row per Gaussian together.
+        // Different groups become one row per Gaussian.
         if other.features.group != self.features.group {
             *self = self.of(&(0..self.weights.len() * self.features.group).collect::<Vec<_>>());
             return self.append(&other.of(&(0..other.weights.len() * other.features.group).collect::<Vec<_>>()));

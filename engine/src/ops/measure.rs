@@ -22,9 +22,7 @@ pub struct FmaChains {
     pub threads: usize,
     /// Rounds of [`FmaChains::STEPS`] steps.
     pub iterations: u32,
-    /// Multiplier of a step.
     pub factor: f32,
-    /// Addend of a step.
     pub term: f32,
 }
 

@@ -1,5 +1,3 @@
-//! Model parameters.
-
 use super::{
     Arithmetic, AttentionKernel, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
     packing::{Order, Packing, packed_bytes},
@@ -119,7 +117,6 @@ impl ParameterLayout {
         self.convolution(name, &[inner], columns)
     }
 
-    /// Declares a convolution as a linear layer.
     pub fn convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.without_integers())
     }
@@ -129,12 +126,10 @@ impl ParameterLayout {
         self.matrix(name, &[inner], columns, false, self.arithmetic)
     }
 
-    /// Always f32.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic.exact())
     }
 
-    /// Always f32.
     pub fn exact_convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.exact())
     }

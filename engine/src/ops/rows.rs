@@ -9,7 +9,6 @@ use std::ops::Range;
 pub struct Rows {
     pub tensor: Tensor,
     pub count: usize,
-    /// Values per row.
     pub width: usize,
     pub element: Element,
 }

@@ -107,8 +107,8 @@ impl BlockLayout {
         if shares { Ok(layout) } else { Err(Error::argument("block overlap", 0, expected)) }
     }
 
-    /// Lays out the joined scene at its largest, from the shape and the scene of one block. Also
-    /// returns its bytes in addition to those of the block.
+    /// Lays out the largest joined scene, from one block's shape and scene. Also returns its bytes
+    /// beyond the block's.
     pub fn scene(&self, limits: &Limits, shape: Shape, block: SceneTensors) -> (SceneTensors, u64) {
         if self.count == 1 {
             return (block, 0);
@@ -119,9 +119,9 @@ impl BlockLayout {
         (scene, layout.bytes())
     }
 
-    /// Chooses the views of each block by the positions of their cameras, or by order. With cameras
-    /// and several blocks, `scale` returns a block's scene scale from its cameras, in the frame of
-    /// the first, and the pose of the first.
+    /// Chooses each block's views by camera positions, or by order. With cameras and several
+    /// blocks, `scale` returns a block's scene scale from its cameras, in the first's frame, and
+    /// the first's pose.
     ///
     /// # Errors
     /// Those of `scale`.
@@ -159,7 +159,6 @@ impl BlockLayout {
         ((border(block)..border(block + 1)).collect(), (start(block)..start(block) + self.size).collect())
     }
 
-    /// Returns each block's own views and all its views.
     fn by_position(&self, cameras: &[Camera]) -> Vec<(Vec<usize>, Vec<usize>)> {
         let places: Vec<DVec3> = cameras.iter().map(|camera| camera.pose.translation).collect();
         let mut parts = Vec::new();
@@ -198,7 +197,7 @@ fn halve(mut views: Vec<usize>, count: usize, places: &[DVec3], parts: &mut Vec<
 }
 
 impl Block {
-    /// Returns the cameras of its views, in the frame of its first, and the pose of that one.
+    /// Returns its views' cameras in the first's frame, and the first's pose.
     fn cameras(&self, cameras: &[Camera]) -> (Vec<Camera>, Pose) {
         let origin = cameras[self.views[0]].pose;
         let own = |view: &usize| Camera { pose: cameras[*view].pose.relative_to(&origin), ..cameras[*view] };
@@ -219,8 +218,7 @@ impl Model {
     }
 
     /// As [`Model::reconstruct_views`], in a pass per block. Known cameras place the blocks;
-    /// without them, the patches that blocks share do. A view's Gaussians are those of the block
-    /// that has it as its own.
+    /// without them, shared patches do.
     ///
     /// # Errors
     /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that
@@ -252,7 +250,6 @@ impl Model {
     }
 }
 
-/// Blocks in one world.
 #[derive(Default)]
 struct Joined {
     scene: Scene,

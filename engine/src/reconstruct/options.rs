@@ -169,7 +169,6 @@ pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> 
     Ok(())
 }
 
-/// Expectation of a network without an input for cameras.
 pub(crate) fn no_camera_encoder(network: &str) -> String {
     format!("none: {network} has no camera encoder; networks of ZipSplat and Depth Anything 3 have one")
 }

@@ -73,7 +73,7 @@ pub enum Space {
     Logit,
 }
 
-/// Rate of a tensor of rows, such as coefficients of spherical harmonics by Gaussian.
+/// Rate of a tensor of rows, such as SH coefficients by Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     /// Rate of the first three values of a row.

@@ -217,7 +217,7 @@ fn view((name, dtype, shape, bytes): &Values) -> Result<(&str, TensorView<'_>), 
     Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?))
 }
 
-/// Returns the conditions that decide a refinement's result. `start` is the initial values' hash.
+/// `start` is the initial values' hash.
 pub(super) fn identity(
     checkpoint: &RefineCheckpoint,
     device: &Device,
@@ -238,7 +238,6 @@ pub(super) fn identity(
     ]
 }
 
-/// Hashes values after others.
 pub(super) fn hashed<T: Pod>(hash: u64, values: &[T]) -> u64 {
     let word = |bytes: &[u8]| bytes.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
     let words = bytemuck::cast_slice(values).chunks(8).map(word);

@@ -28,9 +28,9 @@ const RUN: usize = 8;
 const PRIOR: f64 = 0.02;
 /// Limit of a photo's first brightness relative to the scene's, and of its inverse.
 const MAX_GAIN: f64 = 4.0;
-/// Part of the squared error that different exposures explain if they are to be learned.
+/// Part of the squared error that exposures must explain to be learned.
 const EXPLAINED: f64 = 0.2;
-/// Upper limit of a transform's rate in a step.
+/// Limit of a transform's rate in a step.
 const MAX_RATE: f64 = 0.1;
 
 /// Frames with the exposures of their photos.
@@ -102,7 +102,7 @@ fn pixels_of(shape: FrameShape) -> usize {
     shape.width as usize * shape.height as usize
 }
 
-/// Returns ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
+/// Ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
 fn parts(
     rec: &Recorder,
     shape: FrameShape,
@@ -220,7 +220,6 @@ impl Exposures {
         (0..3).for_each(|color| self.changes[photo][5 * color] = gains.factors[color] - 1.0);
     }
 
-    /// Sets the transforms of views.
     pub fn expose(&mut self, gaussians: &mut Gaussians, views: &mut [View]) -> Result<()> {
         for view in views {
             if self.adams[view.photo].is_none() {

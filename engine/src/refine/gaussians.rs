@@ -34,7 +34,6 @@ const OPACITY_MARGIN: f32 = 1e-4;
 const MAX_ANISOTROPY: f32 = 5.0;
 /// Rate of that limit relative to the scales' rate: above 1, so that it prevails.
 const LIMIT_RATE: f32 = 2.0;
-/// Limit of pixels per run.
 const MAX_BATCH_PIXELS: usize = 1 << 20;
 
 const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];

@@ -47,11 +47,11 @@ use std::{
 };
 use views::fitted;
 
-/// Least number of photos with a held-out one by default: fewer are all needed for training.
+/// Least photos with a held-out one by default: fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
-/// Least number of steps with growth by default.
+/// Least steps with growth by default.
 const GROWTH_FROM: usize = 50;
-/// Upper limit of the training PSNR in dB for growth by default.
+/// Limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;
@@ -81,7 +81,7 @@ pub struct RefineProgress<'a> {
     pub psnr: Option<f64>,
     /// Estimated time left.
     pub eta: Duration,
-    /// Gaussians after this step, if among [`RefineOptions::snapshots`].
+    /// Gaussians after this step, for [`RefineOptions::snapshots`].
     pub scene: Option<&'a Scene>,
 }
 
@@ -152,7 +152,6 @@ impl RefineResult {
 /// `progress` runs after every step; if it ends the refinement, the best scene so far is returned.
 ///
 /// # Errors
-///
 /// [`Error::Argument`] for an unusable scene, photo, camera or options, or missing LPIPS weights.
 pub fn refine_scene(
     arena: &Arena,
@@ -199,8 +198,7 @@ pub fn refine_tokens(
     run(arena, (&make, &hash), None, &photos, cameras, options, progress)
 }
 
-/// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
-/// grows.
+/// Number of Gaussians that a scene of `len` grows to, if it grows.
 fn grown_len(
     options: &RefineOptions,
     steps: usize,

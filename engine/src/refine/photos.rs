@@ -54,7 +54,6 @@ impl<T: AsRef<[Image]> + Sync> Photos for T {
 #[derive(Clone, Debug, PartialEq)]
 struct Photo {
     image: Arc<Image>,
-    /// Target of the depth loss by pixel.
     depth: Option<Arc<[f32]>>,
 }
 
@@ -87,7 +86,6 @@ impl<'a> PhotoCache<'a> {
         fitted(self.photos.size(i), self.max_size, factor)
     }
 
-    /// Returns a photo's camera at a downscaling factor.
     pub fn camera(&self, i: usize, camera: &Camera, factor: u32) -> Result<Camera> {
         resized(i, camera, self.photos.size(i), self.size(i, factor))
     }
@@ -108,8 +106,7 @@ impl<'a> PhotoCache<'a> {
         now.iter().zip(found).map(view).collect()
     }
 
-    /// Returns photos `now` at a downscaling factor. If one is to be opened, idle threads open
-    /// photos that are needed `soon`.
+    /// Returns photos `now`. If one must be opened, idle threads open photos needed `soon`.
     fn get(&mut self, now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<Photo>> {
         self.ahead.retain(|(photo, of), _| *of == factor && (now.contains(photo) || soon.contains(photo)));
         let mut lacking: Vec<usize> = Vec::new();

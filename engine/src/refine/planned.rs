@@ -171,7 +171,6 @@ fn record_perceptual(
 }
 
 impl PhotoPlan {
-    /// Writes the cameras, the photos and the weight of depth.
     pub fn write(&mut self, views: &[&View], depth_weight: f32) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;

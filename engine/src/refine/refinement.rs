@@ -22,7 +22,7 @@ use crate::{
 };
 use std::{collections::VecDeque, ops::ControlFlow, time::Instant};
 
-/// Number of evaluations of held-out photos or, without any, of the loss.
+/// Evaluations of held-out photos or, without any, of the loss.
 const EVALUATIONS: usize = 20;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.

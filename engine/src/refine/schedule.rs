@@ -29,7 +29,7 @@ impl Schedule {
         self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
-    /// Returns the fraction of the depth loss's initial weight.
+    /// Fraction of the initial weight.
     pub fn depth_weight(&self, step: usize) -> f32 {
         LAST_DEPTH.powf(step as f64 / (self.steps.max(2) - 1) as f64) as f32
     }

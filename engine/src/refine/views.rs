@@ -45,8 +45,7 @@ pub(super) fn fitted(size: [u32; 2], most: Option<[u32; 2]>, factor: u32) -> [u3
     size.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
-/// Splits `count` photos into evenly spaced held-out ones and training ones, returned as training,
-/// held out.
+/// Splits `count` photos into training ones and evenly spaced held-out ones.
 pub(super) fn split(count: usize, held_out: usize) -> (Vec<usize>, Vec<usize>) {
     let holdout: Vec<usize> = (0..held_out).map(|i| (2 * i + 1) * count / (2 * held_out)).collect();
     ((0..count).filter(|i| !holdout.contains(i)).collect(), holdout)

@@ -24,7 +24,7 @@ pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
     ((tokens as f64 * ratio) as usize).clamp(1, tokens.max(1))
 }
 
-/// The paper's ratio: 0.5 sqrt(2 / views), at most 1.
+/// The paper's ratio.
 pub fn auto_ratio(views: usize) -> f64 {
     (0.5 * (2.0 / views.max(1) as f64).sqrt()).min(1.0)
 }

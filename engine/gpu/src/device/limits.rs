@@ -9,11 +9,11 @@ pub struct Limits {
     pub driver: String,
     /// Vulkan version, `major.minor.patch`.
     pub api: String,
-    /// Whether the device is a CPU.
+    /// Whether it is a CPU.
     pub cpu: bool,
-    /// Whether the device is a discrete GPU.
+    /// Whether it is a discrete GPU.
     pub discrete: bool,
-    /// Whether the device is an integrated GPU.
+    /// Whether it is an integrated GPU.
     pub integrated: bool,
     /// Invocations per subgroup.
     pub subgroup_size: u32,

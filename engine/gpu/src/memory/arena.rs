@@ -46,7 +46,7 @@ impl Arena {
         &self.0.device
     }
 
-    /// Returns true if both arenas share the same memory.
+    /// Returns true if both arenas share their memory.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }

@@ -31,7 +31,7 @@ pub(crate) const MAX_SIZE: usize = 1 << 16;
 pub(crate) const MAX_DEPTH: usize = 256;
 const MAX_SH_DEGREE: usize = 3;
 
-/// Hyperparameters. Blocks count from 0.
+/// Hyperparameters. [`BackboneArchitecture`] describes the fields that both have.
 ///
 /// Source: ZipSplat, section 3 and appendix A; Depth Anything 3.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,18 +44,13 @@ pub struct Architecture {
     pub depth: usize,
     pub heads: usize,
     pub ffn: Ffn,
-    /// Hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     #[serde(rename = "patch")]
     pub patch_size: usize,
     pub position_grid: usize,
-    /// First block that may be global, where camera tokens enter.
     pub alt_start: usize,
-    /// First block with q/k norm.
     pub qk_norm_start: usize,
-    /// First block with rotary embedding.
     pub rope_start: usize,
-    /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
     pub camera_depth: usize,
     pub camera_heads: usize,
@@ -114,7 +109,6 @@ impl Architecture {
         Self { family: Family::Vggt, camera_depth, camera_heads, camera_hidden, camera_pose_hidden, ..like }
     }
 
-    /// Whether known cameras can be an input.
     pub fn takes_cameras(&self) -> bool {
         self.family.is_da3()
     }

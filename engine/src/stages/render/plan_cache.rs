@@ -42,7 +42,7 @@ impl<K: PartialEq, P> PlanCache<K, P> {
         self.entries.iter_mut().map(|entry| &mut entry.plan)
     }
 
-    /// Returns the plan of `key`, which `record` records with a capacity if it is missing.
+    /// Returns the plan of `key`; `record` records a missing one.
     pub fn get(&mut self, key: PlanKey<K>, record: impl FnOnce(usize) -> Result<P>) -> Result<&mut P> {
         let entry = match self.entries.iter().position(|entry| entry.key == key) {
             Some(index) => self.entries.remove(index),

@@ -31,12 +31,10 @@ impl<'a> From<&'a DeviceScene> for SceneSource<'a> {
     }
 }
 
-/// A weak [`DeviceScene`].
 #[derive(Clone)]
 pub struct WeakScene(Weak<Gaussians>);
 
 impl WeakScene {
-    /// The scene, if it still exists.
     pub fn upgrade(&self) -> Option<DeviceScene> {
         self.0.upgrade().map(DeviceScene)
     }

@@ -152,8 +152,7 @@ const A: f64 = -0.5;
 
 /// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
 ///
-/// Bicubic with antialiasing and normalized weights; the class token and the original grid are
-/// unchanged.
+/// Bicubic with antialiasing and normalized weights.
 pub fn interpolate_antialiased(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
     interpolate(learned, [side, width], [rows, columns], taps)
 }
