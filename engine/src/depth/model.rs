@@ -121,7 +121,7 @@ impl DepthModel {
         Ok(DepthPrediction { patches, patch_tokens, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
-    /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each image.
+    /// Returns each image's patch tokens of the backbone's last layer, a cell per patch.
     pub fn patch_tokens(
         &self,
         images: &[Image],

@@ -102,9 +102,8 @@ impl FeatureRenderer {
     }
 
     /// Lifts pixel values of `cameras`' pictures to every `group` consecutive Gaussians of a scene.
-    /// `values` returns those of a camera, of any size with the picture's shape, and is called
-    /// once per part of the channels. Pixels with a NaN do not count. The same inputs give the
-    /// same bits.
+    /// `values` returns a camera's, of any size with the picture's shape, once per part of the
+    /// channels. Pixels with a NaN do not count. The same inputs give the same bits.
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid input, those of `values`, and [`Error::Memory`].
@@ -290,7 +289,7 @@ fn is_counted(row: &[f32]) -> bool {
     !row.iter().any(|value| value.is_nan())
 }
 
-/// Returns columns of rows padded with zeros, or with NaN if the whole row fails `is_valid`.
+/// Returns columns of rows padded with zeros, or NaN if the row fails `is_valid`.
 fn padded(
     values: &[f32],
     channels: usize,

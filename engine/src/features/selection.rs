@@ -39,8 +39,8 @@ impl Lifted {
         Ok(())
     }
 
-    /// Returns the Gaussians whose values of one channel are at least `least` and whose weight is
-    /// at least `pixels`, such as those inside a lifted mask.
+    /// Returns the Gaussians with at least `least` in a channel and a weight of at least `pixels`,
+    /// such as those inside a lifted mask.
     pub fn at_least(&self, channel: usize, least: f32, pixels: f32) -> Vec<usize> {
         let Features { values, channels, group } = &self.features;
         let rows = zip(values.chunks_exact(*channels), &self.weights).enumerate();
@@ -48,9 +48,8 @@ impl Lifted {
         rows.flat_map(|(row, _)| row * group..(row + 1) * group).collect()
     }
 
-    /// Returns the Gaussians that belong to `seeds`: their features have at least this cosine
-    /// similarity with the seeds' mean, and nearest neighbors of the same kind connect them with
-    /// a seed.
+    /// Returns the Gaussians whose features have at least this cosine similarity with the mean of
+    /// `seeds`, and that such nearest neighbors connect with a seed.
     ///
     /// # Errors
     /// [`Error::Argument`] if the features are another scene's, or no seed has any.

@@ -61,7 +61,6 @@ pub struct Attention {
     pub kernel: AttentionKernel,
 }
 
-/// Attention kernel and layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionKernel {
     /// ops/attention or ops/attention_uniform, with keys in panels.
@@ -80,7 +79,7 @@ impl AttentionKernel {
 
 impl Attention {
     /// Allocates queries, keys, values and `[sequences * keys]` f32 for [`Part::log_counts`].
-    /// Without pooling, the last aliases the keys.
+    /// Unpooled, the last aliases the keys.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
         let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
         let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);

@@ -29,7 +29,6 @@ pub struct FmaChains {
 impl FmaChains {
     /// Chains per invocation: hides latency, fits 16 registers.
     pub const CHAINS: u32 = 12;
-    /// Chain steps per iteration.
     pub const STEPS: u32 = 8;
 
     pub fn flops(&self) -> u64 {

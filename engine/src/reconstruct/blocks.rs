@@ -21,8 +21,8 @@ const MIN_SHARED: usize = 16;
 pub struct BlockOptions {
     /// Maximum views of a block, by default as many as fit.
     pub size: Option<usize>,
-    /// Views that neighboring blocks share, by default a quarter of the size. Blocks chosen by
-    /// position share about this number.
+    /// Views that neighboring blocks share, about that many if chosen by position. By default a
+    /// quarter of the size.
     pub overlap: Option<usize>,
 }
 
@@ -122,9 +122,6 @@ impl BlockLayout {
     /// Chooses each block's views by camera positions, or by order. With cameras and several
     /// blocks, `scale` returns a block's scene scale from its cameras, in the first's frame, and
     /// the first's pose.
-    ///
-    /// # Errors
-    /// Those of `scale`.
     pub fn blocks(
         &self,
         cameras: Option<&[Camera]>,

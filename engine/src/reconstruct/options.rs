@@ -44,16 +44,16 @@ pub struct ReconstructOptions {
     /// Known cameras: of the whole photos, or of the views for
     /// [`Model::reconstruct_views`](super::Model::reconstruct_views).
     pub cameras: Option<Vec<Camera>>,
-    /// Length, in camera and scene units, that the network sees as 1. Training scenes have a median
-    /// distance of about 1 from the first camera. By default estimated from the cameras and the
-    /// capture; 1 without cameras.
+    /// Length, in camera and scene units, that the network sees as 1: about the median distance
+    /// from the first camera in training. By default estimated from the cameras and the capture; 1
+    /// without cameras.
     pub scene_scale: Option<f64>,
     /// Capture for the default scene scale.
     pub capture: Option<Capture>,
     /// Coordinate frame, by default the cameras' world if known.
     pub world: Option<SceneFrame>,
     /// Width and height of the network's input, multiples of the patch size, by default the trained
-    /// size. Photos are cropped to its shape.
+    /// size. Crops photos to its shape.
     pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,

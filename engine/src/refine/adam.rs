@@ -44,8 +44,8 @@ impl<const N: usize> Default for HostAdam<N> {
 }
 
 impl<const N: usize> HostAdam<N> {
-    /// Returns the change of the numbers against `gradient`, with the rate of each. A non-finite
-    /// gradient changes nothing.
+    /// Returns the change against `gradient`, with the rate of each number. A non-finite gradient
+    /// changes nothing.
     pub fn step(&mut self, adam: Adam, gradient: [f64; N], rate: impl Fn(usize) -> f64) -> [f64; N] {
         if !gradient.iter().all(|g| g.is_finite()) {
             return [0.0; N];

@@ -32,7 +32,7 @@ pub struct RefineCheckpoint {
     pub photos: String,
 }
 
-/// Name and value of conditions that a checkpoint shares with the refinement that continues it.
+/// Names and values of conditions that a checkpoint and its continuation share.
 pub(super) type Identity = Vec<(&'static str, String)>;
 
 /// A state that is written, or read in the same order.

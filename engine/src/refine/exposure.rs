@@ -46,7 +46,7 @@ pub struct Exposed {
 
 impl Exposed {
     /// Records the transforms of `frames` `[cameras, height, width, 3]` by `transforms` `[cameras,
-    /// 3, 4]`. Values beyond the white or black of saturated `targets` become those.
+    /// 3, 4]`. Values beyond saturated `targets` become those.
     pub fn record(rec: &mut Recorder, [frames, targets, transforms]: [Tensor; 3], shape: FrameShape) -> Self {
         let exposed = rec.tensor::<f32>("exposed", 3 * pixels_of(shape) * shape.cameras);
         rec.scope("exposure", |rec| {
@@ -115,7 +115,7 @@ fn parts(
     })
 }
 
-/// Returns the step before which exposures may begin to be learned.
+/// Returns the step before which exposures may begin.
 pub(super) fn first_step(steps: usize) -> usize {
     (steps / 10).max(MIN_WARM_UP)
 }
@@ -151,8 +151,8 @@ impl Gains {
     }
 }
 
-/// Transforms of all photos. Those of training photos are learned, with the identity as their mean:
-/// else a common factor would be the scene's or theirs.
+/// Transforms of all photos. Training photos' are learned, with the identity as their mean: else a
+/// common factor could be the scene's or theirs.
 #[derive(Clone)]
 pub(super) struct Exposures {
     /// Differences from the identity.
@@ -164,8 +164,8 @@ pub(super) struct Exposures {
 }
 
 impl Exposures {
-    /// Begins to learn the exposures of `training` among `count` photos, if asked to or if those of
-    /// `views` differ.
+    /// Begins to learn the exposures of `training` among `count` photos, if requested or if those
+    /// of `views` differ.
     pub fn start(
         gaussians: &mut Gaussians,
         options: &RefineOptions,

@@ -27,7 +27,7 @@ pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 const EPS: f32 = 0.006;
 /// The same for means, also times the scene scale.
 const MEANS_EPS: f32 = 0.6;
-/// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
+/// Least scale, and least distance of opacities from 0 and 1, for logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
 /// Limit of a Gaussian's largest scale relative to its middle one: longer needles fit noise.
@@ -229,7 +229,7 @@ impl Gaussians {
         }
     }
 
-    /// Runs the plan of photos of one size. Returns `None` after an overflow; the next is larger.
+    /// Runs the plan of photos of one size; `None` after an overflow, and the next is larger.
     fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
         self.cleared &= !backward;
         let depth_weight = self.depth_weight;

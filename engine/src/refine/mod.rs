@@ -327,7 +327,7 @@ fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Opt
     fits
 }
 
-/// Returns half the size of the largest photo as it fits `most`, unless too small.
+/// Half the largest photo's size within `most`, unless too small.
 fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
     let largest = sizes(photos, most, 2).max_by_key(|[width, height]| width * height);
     largest.filter(|half| half.iter().all(|side| *side >= SHORTEST))

@@ -7,8 +7,8 @@ use std::time::Duration;
 pub enum RefineLength {
     /// Optimizer steps.
     Steps(usize),
-    /// Approximate duration; the steps and the photos' size follow from the measured time of a few
-    /// steps. The same steps and size give the same bits.
+    /// Approximate duration; the measured time of a few steps decides the steps and the photos'
+    /// size. The same steps and size give the same bits.
     Time(Duration),
 }
 
@@ -71,10 +71,10 @@ pub struct RefineOptions {
     /// Whether to draw and return an antialiased scene (Mip-Splatting), by default
     /// [`Scene::antialiased`](crate::types::Scene::antialiased).
     pub antialiased: Option<bool>,
-    /// Number of Gaussians to grow to, by relocating invisible and adding new ones. None if at most
-    /// the scene's number. `None`: from 50 steps on and below a training PSNR of 25 dB, one per 32
-    /// pixels of the photos, at most 16 times the scene's number; from 200 steps on more, up to
-    /// twice as many at 800.
+    /// Number of Gaussians to grow to, by relocating invisible and adding new ones. No growth if at
+    /// most the scene's number. `None`: from 50 steps on and below a training PSNR of 25 dB, one
+    /// per 32 pixels of the photos, at most 16 times the scene's number; from 200 steps on more, up
+    /// to twice as many at 800.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
@@ -82,7 +82,7 @@ pub struct RefineOptions {
     pub scale_penalty: f32,
     /// Whether the first half of the steps uses downscaled photos.
     pub coarse_to_fine: bool,
-    /// Batch limit for photos of one size. `None`: a whole step on a GPU, 1 on a CPU.
+    /// Batch limit for photos of one size. `None`: the whole step on a GPU, 1 on a CPU.
     pub batch_size: Option<usize>,
     /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
     /// number of Gaussians.
@@ -135,7 +135,7 @@ pub struct PerceptualLoss {
     pub network: LpipsNetwork,
 }
 
-/// The depth term of a loss: the mean difference of inverse depth, relative to the scene scale.
+/// The depth term of a loss: mean difference of inverse depth, relative to the scene scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthLoss {
     /// Initial factor, which falls to a hundredth over the steps.
@@ -160,8 +160,8 @@ impl DepthLoss {
     }
 }
 
-/// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they are
-/// inversely proportional to the steps.
+/// Initial rates of Adam for at most 100 steps, which decay to a tenth. For more steps, inversely
+/// proportional to the steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearningRates {
     /// Centers, relative to the scene scale.

@@ -19,14 +19,14 @@ pub trait Photos: Sync {
     /// Width and height of a photo in pixels.
     fn size(&self, i: usize) -> [u32; 2];
 
-    /// Decodes a photo of this size, with its mask, if any. Several threads may open photos, also
-    /// repeatedly.
+    /// Decodes a photo of this size, with its mask, if any. Threads may open photos repeatedly and
+    /// at the same time.
     ///
     /// # Errors
     /// An unreadable photo.
     fn open(&self, i: usize) -> Result<Cow<'_, Image>>;
 
-    /// Known depth along the camera's axis by pixel of a photo, 0 if unknown; for
+    /// Known depth along the camera's axis by pixel, 0 if unknown; for
     /// [`RefineOptions::depth_loss`](super::RefineOptions::depth_loss).
     ///
     /// # Errors
@@ -130,7 +130,7 @@ impl<'a> PhotoCache<'a> {
         self.open_all(fitting, 1)
     }
 
-    /// Opens photos and whether to keep them.
+    /// Opens photos and keeps the flagged ones.
     fn open_all(&mut self, photos: Vec<(usize, bool)>, factor: u32) -> Result<()> {
         let opened = photos.into_par_iter().map(|(photo, keep)| {
             let photos = self.open(photo, if keep { self.factors(photo) } else { vec![factor] })?;

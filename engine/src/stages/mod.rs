@@ -69,8 +69,8 @@ const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
     View(usize),
-    /// The view nearest to the mean. Among views within a thousandth of the best, the first, so
-    /// that rounding does not decide.
+    /// The view nearest to the mean. The first of those within a thousandth of the best, so that
+    /// rounding does not decide.
     Balanced,
 }
 

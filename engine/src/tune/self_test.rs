@@ -36,7 +36,7 @@ impl SelfTest {
     /// Returns cached or new results for `wanted`.
     ///
     /// # Errors
-    /// Those that stop the other kernels, too; others fail their kernel.
+    /// Failures that stop the other kernels; others fail their kernel.
     pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");
         let Record { begun, result } = file.as_deref().and_then(Record::read).unwrap_or_default();

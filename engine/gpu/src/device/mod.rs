@@ -1,5 +1,3 @@
-//! Devices: discovery, opening, adoption, limits.
-
 mod adopt;
 pub(crate) mod barrier;
 mod bfloat16;
@@ -44,8 +42,8 @@ use std::{
 pub struct DeviceOptions {
     /// Index in [`crate::list_devices`], part of a name, or UUID; `None` picks the best device.
     pub device: Option<String>,
-    /// Enables the Khronos validation layer with synchronization validation: any message fails the
-    /// run. Scratch tensors are filled with NaN.
+    /// Enables the Khronos layer with synchronization validation: any message fails the run. Fills
+    /// scratch tensors with NaN.
     pub validation: bool,
     /// Limit on bytes per binding, to emulate a smaller device.
     pub max_binding_bytes: Option<u64>,

@@ -177,7 +177,8 @@ impl Run {
     /// Reads an output.
     ///
     /// # Panics
-    /// If the tensor is not an output of this plan, or a started submission was not finished.
+    /// If the tensor is no output of this plan, a submission is unfinished or another run used the
+    /// lane.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
         assert!(!self.in_flight, "read before finish");

@@ -55,7 +55,6 @@ pub struct Linear {
     pub kernel: LinearKernel,
 }
 
-/// Kernel and weight layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
     /// ops/linear, ops/linear_uniform or ops/linear_tiled. The weight is `[panels, inner,

@@ -60,7 +60,6 @@ impl Saving {
 }
 
 impl Refinement<'_> {
-    /// Saves the state after `done` steps.
     pub fn save(&mut self, saving: &mut Saving, mut done: usize, begin: Instant) -> Result<()> {
         let mut state = State::Save(Vec::new());
         saving.spent = begin.elapsed().as_secs_f64();

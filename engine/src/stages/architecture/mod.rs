@@ -100,8 +100,7 @@ impl Architecture {
         }
     }
 
-    /// Returns the paper's decoder on VGGT with `embedding` blocks, then pairs of blocks;
-    /// `out_pairs` give features. Known cameras are no input.
+    /// As [`DepthArchitecture::vggt`], with the paper's decoder. Known cameras are no input.
     pub fn vggt(name: &str, width: usize, [embedding, pairs]: [usize; 2], out_pairs: &[usize]) -> Self {
         let (depth, out_layers) = vggt_blocks([embedding, pairs], out_pairs);
         let like = Self::new(name, width, depth, embedding, &out_layers);

@@ -59,10 +59,7 @@ impl<K: PartialEq, P> PlanCache<K, P> {
     }
 
     /// Returns the last used plan if `needed` intersections fit. Otherwise drops it, and the next
-    /// one is larger.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] if no plan can be large enough.
+    /// one is larger; [`Error::Memory`] if none can be.
     pub fn fitting(&mut self, needed: usize) -> Result<Option<&mut P>> {
         if let Some(Entry { key, .. }) = self.entries.pop_if(|entry| needed > entry.capacity) {
             let (needed_bytes, available) = (needed as u64 * intersection_bytes(key.backward), self.max_binding_bytes);

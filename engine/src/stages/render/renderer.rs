@@ -69,8 +69,8 @@ impl Renderer {
         self.render(cameras, options)
     }
 
-    /// Sets the scene to render: uploads a [`Scene`]; uses a [`DeviceScene`], or a reconstruction
-    /// in its first camera's frame, where it is.
+    /// Sets the scene: uploads a [`Scene`]; uses a [`DeviceScene`], or a reconstruction in its
+    /// first camera's frame, in place.
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid scene or another device's; [`Error::DeviceLost`].

@@ -15,7 +15,7 @@ pub struct DeviceScene(Arc<Gaussians>);
 #[derive(Clone, Copy, Debug)]
 pub enum SceneSource<'a> {
     Host(&'a Scene),
-    /// With the pose of its frame in the scene's world, if that is not the world itself.
+    /// With the pose of its frame in the scene's world, if they differ.
     Device(&'a DeviceScene, Option<Pose>),
 }
 
@@ -84,7 +84,7 @@ impl SceneMemory {
         &self.memory
     }
 
-    /// Makes the Gaussians invisible of all but these of `count` tokens, if given.
+    /// Makes the Gaussians of all but these of `count` tokens invisible, if given.
     pub fn show_tokens(&self, tokens: Option<&[usize]>, count: usize) -> Result<()> {
         let Some(tokens) = tokens else { return Ok(()) };
         let all: Vec<f32> = self.memory.read(self.tensors.opacities)?;
@@ -163,7 +163,6 @@ impl DeviceScene {
         self.0.arena.as_ref()
     }
 
-    /// Returns options with the scene's defaults.
     pub fn fill_in(&self, options: &RenderOptions) -> RenderOptions {
         options.with_defaults(self.0.near, self.0.antialiased)
     }

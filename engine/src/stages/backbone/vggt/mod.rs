@@ -1,5 +1,4 @@
-//! VGGT: DINOv2 with registers, then pairs of blocks within and across views, with a camera token
-//! and four registers per view.
+//! VGGT: DINOv2 with registers, then pairs of blocks within and across views.
 
 use super::{
     positions::{Taps, interpolate, rotary_table},
