@@ -179,7 +179,7 @@ impl DepthModel {
         tensors.heads.write(run, &pixels, &self.parameters)
     }
 
-    /// Writes the backbone's inputs. Returns the pixels as it sees them.
+    /// Returns the pixels as the backbone sees them.
     fn write_photos(
         &self,
         run: &mut Run,

@@ -75,7 +75,6 @@ impl DepthPrediction {
 }
 
 impl DepthMap {
-    /// Mean confidence, by default 1.
     pub(super) fn mean_confidence(&self) -> f64 {
         let all = self.confidence.as_deref().unwrap_or(&[1.0]);
         all.iter().map(|value| f64::from(*value)).sum::<f64>() / all.len().max(1) as f64

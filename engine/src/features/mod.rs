@@ -25,10 +25,9 @@ use crate::{
 use plan::{FeaturePlan, Job, Part, job, vectors_at_once};
 use std::{iter::zip, ops::Range};
 
-/// Channels that a pixel blends at once.
 const CHANNELS_AT_ONCE: usize = VECTOR * VECTORS_AT_ONCE;
 
-/// Values of pixels, or of cells of several pixels, `[height, width, channels]`.
+/// Values of pixels or larger cells, `[height, width, channels]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PixelValues {
     /// Cells per row.
@@ -61,10 +60,10 @@ pub struct Features {
     pub group: usize,
 }
 
-/// Features with the evidence for them.
+/// Features with their evidence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lifted {
-    /// Means over all photos' pixels; 0 for rows that no pixel shows.
+    /// Means over all photos' pixels; 0 for unseen rows.
     pub features: Features,
     /// Sum of each row's blending weights, in pixels.
     pub weights: Vec<f32>,
@@ -74,7 +73,7 @@ impl Features {
     /// Checks the shape for a scene.
     ///
     /// # Errors
-    /// [`Error::Argument`] if it has another number of rows.
+    /// [`Error::Argument`] for another number of rows.
     pub fn validate(&self, scene: &Scene) -> Result<()> {
         let rows = rows(scene, self.group)?.count;
         let expected = rows * self.channels;

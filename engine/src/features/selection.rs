@@ -20,7 +20,7 @@ impl Lifted {
         Self { features, weights: rows.map(|row| self.weights[row]).collect() }
     }
 
-    /// Appends the features of a scene's Gaussians that follow.
+    /// Appends the features of a scene's following Gaussians.
     ///
     /// # Errors
     /// [`Error::Argument`] for another number of channels.
@@ -48,8 +48,8 @@ impl Lifted {
         rows.flat_map(|(row, _)| row * group..(row + 1) * group).collect()
     }
 
-    /// Returns the Gaussians whose features have at least this cosine similarity with the mean of
-    /// `seeds`, and that such nearest neighbors connect with a seed.
+    /// Returns the Gaussians whose features have at least this cosine similarity with the seeds'
+    /// mean, and that such nearest neighbors connect with a seed.
     ///
     /// # Errors
     /// [`Error::Argument`] if the features are another scene's, or no seed has any.

@@ -87,8 +87,8 @@ impl BlockLayout {
     /// As [`BlockLayout::new`] for passes of this `shape`.
     ///
     /// # Errors
-    /// Those of `shape`; [`Error::Argument`] for too many patches, or blocks without known cameras
-    /// that share no views.
+    /// Also [`Error::Argument`] for too many patches, or blocks without known cameras that share no
+    /// views.
     pub fn checked(
         views: usize,
         size: usize,
@@ -218,8 +218,7 @@ impl Model {
     /// without them, shared patches do.
     ///
     /// # Errors
-    /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that
-    /// share too few patches.
+    /// Also [`Error::Argument`] for given tokens, or blocks that share too few patches.
     pub fn reconstruct_blocks(
         &self,
         images: &[Image],
@@ -325,7 +324,7 @@ impl Joined {
     }
 }
 
-/// Returns the similarity from block `i` of views to the scene.
+/// From block `i` to the scene.
 fn joining(shared: &[[DVec3; 2]], i: usize) -> Result<Similarity> {
     let found = Similarity::of_shared_points(shared).filter(|_| shared.len() >= MIN_SHARED);
     found.ok_or_else(|| {

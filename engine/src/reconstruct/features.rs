@@ -156,8 +156,8 @@ impl Model {
         })
     }
 
-    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`.
-    /// Tokens of masked patches are left out.
+    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`,
+    /// without tokens of masked patches.
     pub fn tokens(
         &self,
         features: &BackboneFeatures,

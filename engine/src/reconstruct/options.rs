@@ -57,7 +57,7 @@ pub struct ReconstructOptions {
     pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,
-    /// Passes over blocks of views, if one pass does not hold all.
+    /// Blocks of views, if one pass does not hold all.
     pub blocks: BlockOptions,
 }
 

@@ -21,14 +21,14 @@ const VERSION_KEY: &str = "version";
 const REMEDY: &str = "; delete the file to start over";
 const VERSION: &str = concat!("1 of zipsplat ", env!("CARGO_PKG_VERSION"));
 
-/// Checkpoint file of a refinement, which continues from the file if it exists.
+/// Checkpoint file, from which a refinement continues if it exists.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineCheckpoint {
-    /// Path of the safetensors file, replaced atomically. It remains after the refinement.
+    /// Safetensors file, replaced atomically and kept after the refinement.
     pub path: PathBuf,
-    /// Time between two writes; also written when `progress` ends the refinement.
+    /// Time between writes; also written when `progress` ends the refinement.
     pub interval: Duration,
-    /// Identity of the photos' contents, such as names and times of their files.
+    /// Identity of the photos' contents, such as file names and times.
     pub photos: String,
 }
 
@@ -106,7 +106,6 @@ impl State<'_> {
         }
     }
 
-    /// Values `to` and `from` numbers.
     pub fn mapped<T, U: Element>(
         &mut self,
         name: &str,

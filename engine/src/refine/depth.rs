@@ -1,5 +1,3 @@
-//! Known depth of photos.
-
 use crate::{Error, Result, stages::depth_loss::DepthKind};
 use std::sync::Arc;
 

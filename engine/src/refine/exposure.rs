@@ -120,10 +120,10 @@ pub(super) fn first_step(steps: usize) -> usize {
     (steps / 10).max(MIN_WARM_UP)
 }
 
-/// Factors of a drawn picture's red, green and blue that fit its photo best.
+/// Factors of a drawn picture's colors that fit its photo best.
 struct Gains {
     factors: [f64; 3],
-    /// Squared errors of the picture, without and with the factors.
+    /// Squared errors, without and with the factors.
     squares: [f64; 2],
 }
 
@@ -196,7 +196,6 @@ impl Exposures {
         }
     }
 
-    /// Exposures that may not have begun.
     pub fn state(
         state: &mut State<'_>,
         name: &str,
@@ -245,7 +244,7 @@ impl Exposures {
         changes.iter_mut().zip(moved).for_each(|(change, moved)| *change += moved);
     }
 
-    /// Moves the mean of all training photos to the identity, once all have been used.
+    /// Moves the mean of all training photos to the identity, once all are used.
     pub fn center(&mut self) {
         if !self.training.iter().all(|photo| self.adams[*photo].is_some()) {
             return;

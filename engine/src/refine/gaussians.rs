@@ -32,7 +32,7 @@ const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
 /// Limit of a Gaussian's largest scale relative to its middle one: longer needles fit noise.
 const MAX_ANISOTROPY: f32 = 5.0;
-/// Rate of that limit relative to the scales' rate: above 1, so that it prevails.
+/// Rate of that limit relative to the scales' rate: above 1 to prevail.
 const LIMIT_RATE: f32 = 2.0;
 const MAX_BATCH_PIXELS: usize = 1 << 20;
 
@@ -220,7 +220,7 @@ impl Gaussians {
         self.drawing = RenderOptions::default().for_scene(scene);
     }
 
-    /// Draws a photo's camera: `[height][width][rgb]` and the number of tile intersections.
+    /// Draws a photo's camera: `[height][width][rgb]` and the count of tile intersections.
     pub fn draw(&mut self, view: &View) -> Result<(Vec<f32>, usize)> {
         loop {
             if let Some(PhotoPlan { run, recorded }) = self.run(&[view], false)? {

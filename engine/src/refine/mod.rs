@@ -61,7 +61,7 @@ const MOST_GROWTH: f64 = 16.0;
 const DETAIL: [usize; 2] = [200, 800];
 /// Growth by a factor makes the mean step slower by this power of it.
 const GROWTH_COST: f64 = 0.42;
-/// Additional power for the part of the factor that is due to the steps.
+/// Additional power for the steps' part of the factor.
 const DETAIL_COST: f64 = 0.35;
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
 const ENOUGH_STEPS: u32 = 150;
@@ -92,7 +92,7 @@ pub enum StopReason {
     Cancelled,
     /// The loss became NaN or infinite, or grew.
     Diverged(String),
-    /// A photo could not be opened, or a checkpoint could not be written.
+    /// A photo could not be opened or a checkpoint written.
     Io(String),
 }
 
@@ -103,10 +103,10 @@ pub struct RefineResult {
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
-    /// Transforms from the kept scene's colors to those of all photos, if exposures were learned;
-    /// held-out photos have the identity.
+    /// Transforms from the kept scene's colors to all photos', if exposures were learned; the
+    /// identity for held-out photos.
     pub exposures: Option<Vec<ColorTransform>>,
-    /// Steps of the checkpoint that was continued, or 0.
+    /// Steps of the continued checkpoint, or 0.
     pub resumed_step: usize,
     /// Steps to complete, also of a [`RefineLength::Time`].
     pub steps: usize,
@@ -118,7 +118,7 @@ pub struct RefineResult {
     pub holdout_psnr: Vec<(usize, f64)>,
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
-    /// Fraction of the pixels that masks ignore in those photos.
+    /// Fraction of masked pixels in those photos.
     pub masked_fraction: f64,
     /// Fraction of those pixels with known depth, for [`RefineOptions::depth_loss`].
     pub depth_fraction: f64,
@@ -178,7 +178,7 @@ pub fn refine_scene(
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
 ///
 /// # Errors
-/// Those of [`refine_scene`], and [`Error::Argument`] if the tokens belong to another head.
+/// Also [`Error::Argument`] if the tokens belong to another head.
 pub fn refine_tokens(
     arena: &Arena,
     head: &FrozenHead,

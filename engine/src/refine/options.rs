@@ -84,8 +84,8 @@ pub struct RefineOptions {
     pub coarse_to_fine: bool,
     /// Batch limit for photos of one size. `None`: the whole step on a GPU, 1 on a CPU.
     pub batch_size: Option<usize>,
-    /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
-    /// number of Gaussians.
+    /// Initial capacity in tile intersections per photo, grown on demand. `None`: from the number
+    /// of Gaussians.
     pub intersection_capacity: Option<usize>,
     /// Scenes passed to `progress`, evenly spaced.
     pub snapshots: usize,

@@ -24,7 +24,7 @@ use crate::{
 /// Optimized parameters.
 #[derive(Clone, Copy, Debug)]
 pub enum Moved<'a> {
-    /// Number of Gaussians, and the degree of their harmonics.
+    /// Number of Gaussians and their SH degree.
     Gaussians(usize, u32),
     /// Number of tokens, and the network of their head.
     Tokens(usize, &'a Architecture),

@@ -64,9 +64,7 @@ pub(super) struct Training<'a> {
     pub options: &'a RefineOptions,
     pub gradients: &'a Gradients,
     pub lpips: Option<&'a Lpips>,
-    /// Whether the photos have color transforms.
     pub exposure: bool,
-    /// Whether any photo has a mask.
     pub masked: bool,
     /// Whether any photo has depth, for the depth loss.
     pub depth: bool,

@@ -41,7 +41,7 @@ impl Schedule {
     }
 }
 
-/// Returns the fraction of the steps at each downscaling factor, for this shorter side.
+/// Fraction of the steps at each downscaling factor, for this shorter side.
 pub(super) fn phases(coarse: bool, shortest: u32) -> impl Iterator<Item = (f64, u32)> {
     let fits = move |(_, factor): &(f64, u32)| coarse && shortest >= factor * SHORTEST;
     let mut from = 0.0;

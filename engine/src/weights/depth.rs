@@ -8,7 +8,6 @@ use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, safetensors};
 use crate::{Error, Result, stages::MAX_DEPTH};
 
 const BACKBONE: &str = "model.backbone.pretrained";
-/// Of VGGT.
 const AGGREGATOR: &str = "aggregator.";
 const GAUSSIANS: &str = "model.gs_head.";
 const POINTS: &str = "point_head.";

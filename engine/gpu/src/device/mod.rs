@@ -40,7 +40,7 @@ use std::{
 /// Options of [`Device::open`].
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// Index in [`crate::list_devices`], part of a name, or UUID; `None` picks the best device.
+    /// Index in [`crate::list_devices`], part of a name, or UUID; `None`: the best.
     pub device: Option<String>,
     /// Enables the Khronos layer with synchronization validation: any message fails the run. Fills
     /// scratch tensors with NaN.
@@ -119,7 +119,7 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`Error::NoDevice`] without a driver or a matching device that meets the requirements.
+    /// [`Error::NoDevice`] without a driver or a matching, usable device.
     pub fn open(options: &DeviceOptions) -> Result<Self> {
         let instance = Instance::new(options.validation)?;
         let devices = devices(&instance)?;

@@ -1,5 +1,3 @@
-//! Device memory.
-
 pub(crate) mod arena;
 mod copy;
 mod element;

@@ -108,7 +108,6 @@ impl Plan {
         }
     }
 
-    /// A command's outermost scope.
     pub(crate) fn stage(&self, command: usize) -> &str {
         let scope = &self.scopes[self.commands[command].scope as usize];
         scope.split('/').next().unwrap_or_default()

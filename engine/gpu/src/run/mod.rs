@@ -206,7 +206,7 @@ impl Run {
         self.execute_with(|_| ControlFlow::Continue(()))
     }
 
-    /// As [`Run::execute`]. `progress` is called between submissions and may stop the run.
+    /// As [`Run::execute`]; `progress`, called between submissions, may stop the run.
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.begin()?;
         // Set before a panic in `progress` can unwind.

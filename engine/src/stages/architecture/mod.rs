@@ -217,7 +217,6 @@ impl Architecture {
         if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
     }
 
-    /// Parameter names and shapes, as in the reference's `state_dict`.
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
         let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
         Stages::new(&mut declared, self);

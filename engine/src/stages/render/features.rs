@@ -24,7 +24,7 @@ pub(crate) struct FeatureRows {
 
 /// Records the lifting of one camera's values, `[cells y, cells x, vectors, 4]`. Accumulates sums
 /// of weighted values, `[rows, vectors, 4]`, and of weights, `[rows]`. Returns
-/// [`RenderOutputs::status`](super::RenderOutputs); exceeded capacity accumulates nothing.
+/// [`RenderOutputs::status`](super::RenderOutputs::status); exceeded capacity accumulates nothing.
 #[expect(clippy::too_many_arguments)]
 pub(crate) fn record_lift(
     rec: &mut Recorder,

@@ -10,7 +10,7 @@ pub(crate) struct PlanKey<K> {
     pub options: K,
 }
 
-/// Cache of recently used plans, with more capacity after their intersections overflow.
+/// Cache of recently used plans, with more capacity after an overflow.
 pub(crate) struct PlanCache<K, P> {
     /// Least recently used first.
     entries: Vec<Entry<K, P>>,

@@ -17,7 +17,6 @@ pub struct Renderer {
     scene: Option<DeviceScene>,
     uploaded: Option<SceneMemory>,
     pub(super) plans: PlanCache<(RenderOptions, usize), RenderPlan>,
-    /// Of the last rendering.
     intersections: usize,
     cameras_at_once: usize,
     pub(super) batch_size: usize,

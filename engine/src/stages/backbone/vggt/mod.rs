@@ -23,7 +23,7 @@ struct Registers {
     architecture: BackboneArchitecture,
     /// Class token and registers of DINOv2.
     embedding: [HostParameter; 2],
-    /// Camera tokens and registers, of the reference view and of others.
+    /// Camera tokens and registers of the reference view and others.
     joint: [HostParameter; 2],
     learned_positions: HostParameter,
     patch_embed: Linear,
