@@ -59,10 +59,7 @@ struct Prepared {
 }
 
 impl Perceptual {
-    /// Path of the weights in a cache folder.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the command to fetch them.
+    /// Path of the weights in a cache folder; [`Error::Argument`] has the command to fetch them.
     pub fn file(network: LpipsNetwork, cache: Option<&Path>) -> Result<PathBuf> {
         let name = format!("lpips_{}.safetensors", network.name());
         let folder = cache.unwrap_or(Path::new(""));

@@ -7,8 +7,7 @@ const CONFIDENT: f32 = 1.05;
 const SHARES: [f64; 2] = [0.4, 0.9];
 
 impl DepthPrediction {
-    /// Returns at most `most` colored world points of confident pixels, from the point head, if
-    /// any.
+    /// Returns at most `most` colored world points of confident pixels, from any point head.
     pub fn points(&self, cameras: &[Camera], images: &[Image], most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let least = self.least_confidence();
         let mut kept = Vec::new();

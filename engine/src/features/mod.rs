@@ -101,8 +101,8 @@ impl FeatureRenderer {
     }
 
     /// Lifts pixel values of `cameras`' pictures to every `group` consecutive Gaussians of a scene.
-    /// `values` returns a camera's, of any size with the picture's shape, once per part of the
-    /// channels. Pixels with a NaN do not count. The same inputs give the same bits.
+    /// `values`, called once per part of the channels, returns a camera's, of any size with the
+    /// picture's shape. Pixels with a NaN do not count. The same inputs give the same bits.
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid input, those of `values`, and [`Error::Memory`].

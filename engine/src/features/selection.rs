@@ -1,5 +1,3 @@
-//! Selections of Gaussians by lifted values.
-
 use super::{Features, Lifted};
 use crate::{Error, Result, types::Scene};
 use std::iter::zip;

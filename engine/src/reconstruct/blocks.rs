@@ -87,8 +87,7 @@ impl BlockLayout {
     /// As [`BlockLayout::new`] for passes of this `shape`.
     ///
     /// # Errors
-    /// Also [`Error::Argument`] for too many patches, or blocks without known cameras that share no
-    /// views.
+    /// Also [`Error::Argument`] for too many patches, or for no shared views without known cameras.
     pub fn checked(
         views: usize,
         size: usize,

@@ -53,7 +53,7 @@ pub struct ReconstructOptions {
     /// Coordinate frame, by default the cameras' world if known.
     pub world: Option<SceneFrame>,
     /// Width and height of the network's input, multiples of the patch size, by default the trained
-    /// size. Crops photos to its shape.
+    /// size. Photos are cropped to its shape.
     pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,

@@ -5,8 +5,7 @@ use std::sync::Arc;
 /// mask. Samples the nearest depth: means across edges are at no surface. Relative inverse depth
 /// becomes 1 plus its ratio to the mean, for the fit's sums.
 ///
-/// # Errors
-/// [`Error::Argument`] for depth of another size, or that is negative or not finite.
+/// [`Error::Argument`] for depth of another size, negative or not finite.
 pub(super) fn targets(
     i: usize,
     depth: &[f32],

@@ -151,8 +151,8 @@ impl Gains {
     }
 }
 
-/// Transforms of all photos. Training photos' are learned, with the identity as their mean: else a
-/// common factor could be the scene's or theirs.
+/// Transforms of all photos. Those of training photos are learned, with the identity as their mean:
+/// else a common factor could be the scene's or theirs.
 #[derive(Clone)]
 pub(super) struct Exposures {
     /// Differences from the identity.

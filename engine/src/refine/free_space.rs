@@ -10,7 +10,7 @@ use rayon::prelude::*;
 const CELLS: usize = 24;
 /// Least depth relative to the least initial one around a cell.
 const RATIO: f64 = 0.3;
-/// Least initial Gaussians around a cell, and the quantile of all depths for fewer.
+/// Fewest initial Gaussians around a cell, and the quantile of all depths for fewer.
 const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
 /// Largest factor of a floater's distance and size; others become invisible.

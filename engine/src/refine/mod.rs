@@ -47,9 +47,9 @@ use std::{
 };
 use views::fitted;
 
-/// Least photos with a held-out one by default: fewer are all needed for training.
+/// Fewest photos with a held-out one by default: fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
-/// Least steps with growth by default.
+/// Fewest steps with growth by default.
 const GROWTH_FROM: usize = 50;
 /// Limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;

@@ -35,10 +35,8 @@ const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/mod
 type Identified = (Architecture, Option<String>);
 
 impl Checkpoint {
-    /// Returns the model of `engine/models/README.md`.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without feature `embedded-model`.
+    /// Returns the model of `engine/models/README.md`, or [`Error::Argument`] without feature
+    /// `embedded-model`.
     pub fn builtin() -> Result<Self> {
         #[cfg(feature = "embedded-model")]
         let found = Self::from_bytes("the embedded model", EMBEDDED, None);
@@ -135,7 +133,6 @@ impl Checkpoint {
         self.image_size
     }
 
-    /// # Errors
     /// [`Error::Argument`] for 8-bit arithmetic with [`Q8`] weights.
     pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
         if !arithmetic.has_integers() || self.q8_names().next().is_none() {

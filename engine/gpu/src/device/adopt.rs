@@ -1,5 +1,3 @@
-//! Adoption of an app's Vulkan device.
-
 use super::{
     Shared, SharedParts,
     features::{BYTES, DOT_PRODUCTS, Feature, HALVES, MATRICES, REQUIRED},

@@ -177,8 +177,7 @@ impl Run {
     /// Reads an output.
     ///
     /// # Panics
-    /// If the tensor is no output of this plan, a submission is unfinished or another run used the
-    /// lane.
+    /// If the tensor is no output of this plan, the run is in flight or another used the lane.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
         assert!(!self.in_flight, "read before finish");

@@ -1,5 +1,3 @@
-//! The state of a refinement in its checkpoint.
-
 use super::{Kept, Refinement};
 use crate::{
     Result,

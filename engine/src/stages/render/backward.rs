@@ -1,5 +1,5 @@
 //! Every Gaussian-tile intersection has a slot, written once. Gaussians sum their consecutive slots
-//! without atomics.
+//! in order, without atomics.
 
 use super::{
     Depth, FrameShape, RenderOptions, RenderOutputs, SceneGradients, SceneTensors, draw, intersect::TileLists,

@@ -95,10 +95,7 @@ impl SceneMemory {
         self.memory.write(self.tensors.opacities, &opacities)
     }
 
-    /// Returns the written scene.
-    ///
-    /// # Panics
-    /// If the previous scene exists.
+    /// Returns the written scene. Panics if the previous one exists.
     pub fn scene(&mut self, stored_degree: u32, near: f32, antialiased: bool) -> DeviceScene {
         assert!(self.is_free(), "a scene in use was overwritten");
         let (memory, arena) = (self.memory.clone(), self.arena.clone());
