@@ -71,7 +71,6 @@ impl Perceptual {
         if path.is_file() { Ok(path) } else { Err(missing()) }
     }
 
-    /// Loads the parameters of [`Lpips`](crate::stages::lpips::Lpips).
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let weights = LpipsWeights::open(device, network, path, gradients)?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);

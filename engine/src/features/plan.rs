@@ -36,7 +36,6 @@ pub(super) struct PlanTensors {
     pub status: Tensor,
 }
 
-/// Device memory of a part's features.
 pub(super) struct Part {
     pub resident: Arc<Resident>,
     pub tensors: PartTensors,

@@ -53,7 +53,6 @@ pub struct Rotary {
 #[derive(Clone, Copy, Debug)]
 pub struct Attention {
     pub heads: Heads,
-    /// Independent sequences.
     pub sequences: usize,
     pub queries: usize,
     pub keys: usize,

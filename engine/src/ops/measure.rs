@@ -52,7 +52,6 @@ impl FmaChains {
     }
 }
 
-/// Accumulated matrix products.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixProducts {
     pub units: Units,

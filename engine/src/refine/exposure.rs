@@ -30,7 +30,6 @@ const PRIOR: f64 = 0.02;
 const MAX_GAIN: f64 = 4.0;
 /// Part of the squared error that exposures must explain to be learned.
 const EXPLAINED: f64 = 0.2;
-/// Limit of a transform's rate in a step.
 const MAX_RATE: f64 = 0.1;
 
 /// Frames with the exposures of their photos.
@@ -115,7 +114,6 @@ fn parts(
     })
 }
 
-/// Returns the step before which exposures may begin.
 pub(super) fn first_step(steps: usize) -> usize {
     (steps / 10).max(MIN_WARM_UP)
 }

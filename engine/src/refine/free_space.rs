@@ -21,7 +21,6 @@ const INSIDE: f64 = 3.0;
 /// penalizes floaters there.
 const BETWEEN: [f64; 2] = [0.3, 0.5];
 const NEAREST: usize = 3;
-/// Limit of cameras with places.
 const MAX_CAMERAS: usize = 64;
 
 /// Places of cameras and between them, with the least depth by cell of their pictures.
