@@ -59,10 +59,7 @@ struct Prepared {
 }
 
 impl Perceptual {
-    /// Path of the weights in a cache folder.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the command to fetch them.
+    /// Path of the weights in a cache folder; [`Error::Argument`] has the command to fetch them.
     pub fn file(network: LpipsNetwork, cache: Option<&Path>) -> Result<PathBuf> {
         let name = format!("lpips_{}.safetensors", network.name());
         let folder = cache.unwrap_or(Path::new(""));
@@ -74,7 +71,6 @@ impl Perceptual {
         if path.is_file() { Ok(path) } else { Err(missing()) }
     }
 
-    /// Loads the parameters of [`Lpips`](crate::stages::lpips::Lpips).
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let weights = LpipsWeights::open(device, network, path, gradients)?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);

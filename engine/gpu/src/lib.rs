@@ -1,7 +1,7 @@
 //! Vulkan compute.
 //!
 //! A [`Recorder`] turns typed kernel calls into a [`Plan`]: a command list with arena offsets. A
-//! [`Run`] allocates the arena on a [`Device`] and executes the plan any number of times.
+//! [`Run`] allocates the arena on a [`Device`] and executes the plan repeatedly.
 #![allow(unsafe_code)]
 
 mod device;

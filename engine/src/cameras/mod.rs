@@ -1,4 +1,4 @@
-//! Cameras from PnP, from rays and from decoder values, on the host in f64.
+//! Cameras from PnP, rays and decoder values, on the host in f64.
 //!
 //! PnP: P3P, LO-RANSAC (Chum, Matas, Kittler, Locally Optimized RANSAC, 2003), refinement.
 

@@ -1,4 +1,4 @@
-//! Depth from photos, by Depth Anything 3.
+//! Depth from photos, by Depth Anything 3 or VGGT.
 
 mod gaussians;
 mod model;

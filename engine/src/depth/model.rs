@@ -121,7 +121,7 @@ impl DepthModel {
         Ok(DepthPrediction { patches, patch_tokens, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
-    /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each image.
+    /// Returns each image's patch tokens of the backbone's last layer, a cell per patch.
     pub fn patch_tokens(
         &self,
         images: &[Image],
@@ -179,7 +179,7 @@ impl DepthModel {
         tensors.heads.write(run, &pixels, &self.parameters)
     }
 
-    /// Writes the backbone's inputs. Returns the pixels as it sees them.
+    /// Returns the pixels as the backbone sees them.
     fn write_photos(
         &self,
         run: &mut Run,

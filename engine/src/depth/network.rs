@@ -41,7 +41,6 @@ pub struct DepthTensors {
     pub(super) inputs: DepthInputs,
     pub(super) heads: HeadTensors,
     pub(super) selected: SelectedTokens,
-    /// Patch tokens of the last layer, if kept.
     pub(super) features: Option<Rows>,
 }
 

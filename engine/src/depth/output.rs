@@ -33,7 +33,7 @@ pub struct DepthPrediction {
     pub patch_size: usize,
     /// Kept patches, ascending, unless all are kept.
     pub patches: Option<Vec<u32>>,
-    /// Patch tokens of the backbone's last layer, a cell per patch, of each view, if kept.
+    /// Each view's [`DepthModel::patch_tokens`](super::DepthModel::patch_tokens), if kept.
     pub patch_tokens: Vec<PixelValues>,
     /// Time per stage.
     pub times: StageTimes,
@@ -133,8 +133,8 @@ impl DepthPrediction {
         self.views.iter().map(camera).collect()
     }
 
-    /// Estimates cameras; each view may fail. Views of equal `lenses`, if any, share a focal
-    /// length, the median weighted by confidence; `maps` are those of their photos.
+    /// Estimates cameras; each view may fail. Views of equal `lenses` share a focal length, the
+    /// median weighted by confidence; `maps` are their photos'.
     ///
     /// # Errors
     /// Those of [`DepthPrediction::cameras`] or [`DepthPrediction::cameras_of_rays`].
@@ -168,7 +168,7 @@ const FEWEST: usize = 10;
 const BEHIND: f64 = 0.99;
 
 impl DepthMap {
-    /// Depth with sky behind 99 % of the rest, if there are enough pixels of both.
+    /// Depth with sky behind 99 % of the rest, given enough pixels of both.
     pub fn depth_behind_sky(&self) -> Vec<f32> {
         let mut depth = self.depth.clone();
         let Some(sky) = &self.sky else { return depth };

@@ -29,8 +29,8 @@ fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (dept
 impl DepthPrediction {
     /// Returns a Gaussian per confident pixel of the kept patches, in the cameras' world.
     ///
-    /// Without a head they are isotropic, with opacity by confidence. Sky is dropped; `keep` limits
-    /// patches to their most visible Gaussians. Masked pixels have none.
+    /// Without a head they are isotropic, with opacity by confidence. Sky and masked pixels have
+    /// none. `keep` limits patches to their most visible Gaussians.
     pub fn scene(&self, cameras: &[Camera], images: &[Image], keep: Option<usize>) -> Scene {
         let of_head = self.views.iter().any(|view| view.gaussians.is_some());
         let mut scene = Scene { sh_degree: if of_head { 2 } else { 0 }, ..Scene::default() };
@@ -75,7 +75,6 @@ impl DepthPrediction {
 }
 
 impl DepthMap {
-    /// Mean confidence, by default 1.
     pub(super) fn mean_confidence(&self) -> f64 {
         let all = self.confidence.as_deref().unwrap_or(&[1.0]);
         all.iter().map(|value| f64::from(*value)).sum::<f64>() / all.len().max(1) as f64

@@ -7,8 +7,7 @@ const CONFIDENT: f32 = 1.05;
 const SHARES: [f64; 2] = [0.4, 0.9];
 
 impl DepthPrediction {
-    /// Returns at most `most` colored world points of confident pixels: those of the point head, if
-    /// there is one.
+    /// Returns at most `most` colored world points of confident pixels, from any point head.
     pub fn points(&self, cameras: &[Camera], images: &[Image], most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let least = self.least_confidence();
         let mut kept = Vec::new();
@@ -42,7 +41,6 @@ impl DepthPrediction {
 }
 
 impl DepthMap {
-    /// Confidence of a pixel's point.
     fn confidence_at(&self, pixel: usize) -> Option<f32> {
         let of_depth = self.confidence.as_ref().map(|confidence| confidence[pixel]);
         self.points.as_ref().map_or(of_depth, |points| Some(points[pixel][3]))

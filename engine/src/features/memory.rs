@@ -26,8 +26,8 @@ pub struct LiftMemory {
 }
 
 impl LiftMemory {
-    /// Plans without a device, for values of `cells` columns and rows per photo. The arena grows if
-    /// a photo has more than four intersections of tiles per Gaussian.
+    /// Plans without a device, for values of `cells` columns and rows per photo. The arena grows
+    /// beyond four tile intersections per Gaussian in a photo.
     ///
     /// # Errors
     /// As [`FeatureRenderer::lift`](super::FeatureRenderer::lift).

@@ -1,9 +1,8 @@
 //! Features: values of any number of channels, held by Gaussians or by tokens.
 //!
-//! [`FeatureRenderer::lift`] averages pixel values over photos: a Gaussian's feature is the mean of
-//! all pixels' values, weighted by its blending weights. [`FeatureRenderer::draw`] renders features
-//! as pictures of as many channels. Tokens' features need memory for one row per token instead of
-//! one per Gaussian.
+//! [`FeatureRenderer::lift`] averages pixel values over photos, weighted by each Gaussian's
+//! blending weights. [`FeatureRenderer::draw`] renders features as pictures. Tokens' features need
+//! one row per token instead of one per Gaussian.
 
 mod memory;
 mod plan;
@@ -26,10 +25,9 @@ use crate::{
 use plan::{FeaturePlan, Job, Part, job, vectors_at_once};
 use std::{iter::zip, ops::Range};
 
-/// Channels that a pixel blends at once.
 const CHANNELS_AT_ONCE: usize = VECTOR * VECTORS_AT_ONCE;
 
-/// Values of pixels, or of cells of several pixels, `[height, width, channels]`.
+/// Values of pixels or larger cells, `[height, width, channels]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PixelValues {
     /// Cells per row.
@@ -62,10 +60,10 @@ pub struct Features {
     pub group: usize,
 }
 
-/// Features with the evidence for them.
+/// Features with their evidence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lifted {
-    /// Means over all photos' pixels; 0 for rows that no pixel shows.
+    /// Means over all photos' pixels; 0 for unseen rows.
     pub features: Features,
     /// Sum of each row's blending weights, in pixels.
     pub weights: Vec<f32>,
@@ -75,7 +73,7 @@ impl Features {
     /// Checks the shape for a scene.
     ///
     /// # Errors
-    /// [`Error::Argument`] if it has another number of rows.
+    /// [`Error::Argument`] for another number of rows.
     pub fn validate(&self, scene: &Scene) -> Result<()> {
         let rows = rows(scene, self.group)?.count;
         let expected = rows * self.channels;
@@ -103,9 +101,8 @@ impl FeatureRenderer {
     }
 
     /// Lifts pixel values of `cameras`' pictures to every `group` consecutive Gaussians of a scene.
-    /// `values` returns those of a camera, of any size with the picture's shape, and is called
-    /// once per part of the channels. Pixels with a NaN do not count. The same inputs give the
-    /// same bits.
+    /// `values`, called once per part of the channels, returns a camera's, of any size with the
+    /// picture's shape. Pixels with a NaN do not count. The same inputs give the same bits.
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid input, those of `values`, and [`Error::Memory`].
@@ -291,7 +288,7 @@ fn is_counted(row: &[f32]) -> bool {
     !row.iter().any(|value| value.is_nan())
 }
 
-/// Returns columns of rows padded with zeros, or with NaN if the whole row fails `is_valid`.
+/// Returns columns of rows padded with zeros, or NaN if the row fails `is_valid`.
 fn padded(
     values: &[f32],
     channels: usize,

@@ -11,7 +11,7 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Bytes of values on the device beside the scene. More channels are processed in parts.
+/// Device bytes of values beside the scene; more channels take several parts.
 const PART_BYTES: usize = 256 << 20;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -31,13 +31,11 @@ pub(super) struct FeaturePlan {
 
 pub(super) struct PlanTensors {
     pub camera: Tensor,
-    /// To lift from.
     pub values: Option<Tensor>,
     pub pictures: Vec<Tensor>,
     pub status: Tensor,
 }
 
-/// Device memory of a part's features.
 pub(super) struct Part {
     pub resident: Arc<Resident>,
     pub tensors: PartTensors,
@@ -113,7 +111,7 @@ impl PartTensors {
     }
 }
 
-/// Returns the vectors of `rows` that a part has.
+/// Vectors of `rows` in a part.
 pub(super) fn vectors_at_once(limits: &Limits, rows: usize) -> usize {
     let bytes = PART_BYTES.min(limits.max_binding_bytes as usize);
     (bytes / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)

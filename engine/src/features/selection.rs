@@ -1,5 +1,3 @@
-//! Selections of Gaussians by lifted values.
-
 use super::{Features, Lifted};
 use crate::{Error, Result, types::Scene};
 use std::iter::zip;
@@ -7,8 +5,8 @@ use std::iter::zip;
 const NEIGHBORS: usize = 8;
 
 impl Lifted {
-    /// Returns the features of a scene's Gaussians after edits or reordering: `sources` are those
-    /// that they were. Features of tokens become those of the tokens' Gaussians.
+    /// Returns the features of a scene's Gaussians after edits or reordering: `sources` are their
+    /// former indices. Features of tokens become those of the tokens' Gaussians.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -20,7 +18,7 @@ impl Lifted {
         Self { features, weights: rows.map(|row| self.weights[row]).collect() }
     }
 
-    /// Appends the features of a scene's Gaussians that follow.
+    /// Appends the features of a scene's following Gaussians.
     ///
     /// # Errors
     /// [`Error::Argument`] for another number of channels.
@@ -29,7 +27,7 @@ impl Lifted {
         if others != own {
             return Err(Error::argument("features to append", others, format!("{own} channels")));
         }
-        // Scenes of other tokens have one row per Gaussian together.
+        // Different groups become one row per Gaussian.
         if other.features.group != self.features.group {
             *self = self.of(&(0..self.weights.len() * self.features.group).collect::<Vec<_>>());
             return self.append(&other.of(&(0..other.weights.len() * other.features.group).collect::<Vec<_>>()));
@@ -39,8 +37,8 @@ impl Lifted {
         Ok(())
     }
 
-    /// Returns the Gaussians whose values of one channel are at least `least` and whose weight is
-    /// at least `pixels`, such as those inside a lifted mask.
+    /// Returns the Gaussians with at least `least` in a channel and a weight of at least `pixels`,
+    /// such as those inside a lifted mask.
     pub fn at_least(&self, channel: usize, least: f32, pixels: f32) -> Vec<usize> {
         let Features { values, channels, group } = &self.features;
         let rows = zip(values.chunks_exact(*channels), &self.weights).enumerate();
@@ -48,9 +46,8 @@ impl Lifted {
         rows.flat_map(|(row, _)| row * group..(row + 1) * group).collect()
     }
 
-    /// Returns the Gaussians that belong to `seeds`: their features have at least this cosine
-    /// similarity with the seeds' mean, and nearest neighbors of the same kind connect them with
-    /// a seed.
+    /// Returns the Gaussians whose features have at least this cosine similarity with the seeds'
+    /// mean, and that such nearest neighbors connect with a seed.
     ///
     /// # Errors
     /// [`Error::Argument`] if the features are another scene's, or no seed has any.

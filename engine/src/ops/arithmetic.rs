@@ -58,7 +58,6 @@ pub struct Arithmetic {
 pub struct Units {
     pub factor: Element,
     pub shape: MatrixShape,
-    /// Tiles by result size.
     pub tiles: Tiles,
 }
 

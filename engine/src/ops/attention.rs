@@ -53,7 +53,6 @@ pub struct Rotary {
 #[derive(Clone, Copy, Debug)]
 pub struct Attention {
     pub heads: Heads,
-    /// Independent sequences.
     pub sequences: usize,
     pub queries: usize,
     pub keys: usize,
@@ -61,7 +60,6 @@ pub struct Attention {
     pub kernel: AttentionKernel,
 }
 
-/// Attention kernel and layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionKernel {
     /// ops/attention or ops/attention_uniform, with keys in panels.
@@ -80,7 +78,7 @@ impl AttentionKernel {
 
 impl Attention {
     /// Allocates queries, keys, values and `[sequences * keys]` f32 for [`Part::log_counts`].
-    /// Without pooling, the last aliases the keys.
+    /// Unpooled, the last aliases the keys.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
         let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
         let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);

@@ -5,7 +5,6 @@ use super::{
 use crate::gpu::{Recorder, Tensor};
 use serde::{Deserialize, Serialize};
 
-/// Kind of feed-forward network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Ffn {
@@ -37,7 +36,6 @@ pub(super) struct Mlp {
 /// Sequences in a residual stream `[sequences * tokens, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequences {
-    /// Independent sequences.
     pub count: usize,
     pub tokens: usize,
     pub rotary: Option<Rotary>,

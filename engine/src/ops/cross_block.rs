@@ -22,7 +22,6 @@ pub struct CrossBlock {
 }
 
 impl CrossBlock {
-    /// Declares a block with `hidden` feed-forward channels.
     pub fn new(p: &mut ParameterLayout, name: &str, heads: Heads, hidden: usize, eps: f32) -> Self {
         let width = heads.width();
         Self {

@@ -22,16 +22,13 @@ pub struct FmaChains {
     pub threads: usize,
     /// Rounds of [`FmaChains::STEPS`] steps.
     pub iterations: u32,
-    /// Multiplier of a step.
     pub factor: f32,
-    /// Addend of a step.
     pub term: f32,
 }
 
 impl FmaChains {
     /// Chains per invocation: hides latency, fits 16 registers.
     pub const CHAINS: u32 = 12;
-    /// Chain steps per iteration.
     pub const STEPS: u32 = 8;
 
     pub fn flops(&self) -> u64 {
@@ -55,7 +52,6 @@ impl FmaChains {
     }
 }
 
-/// Accumulated matrix products.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixProducts {
     pub units: Units,

@@ -106,7 +106,6 @@ impl Nearest {
         out
     }
 
-    /// [`Nearest::record`] into `out`.
     pub fn record_into(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
         match self.space {
             Space::Lanes if divides_panels(rec.limits()) => self.uniform(rec, points, targets, out),

@@ -149,10 +149,7 @@ impl Packing {
     }
 }
 
-/// Packs `weight` `[columns, inner]` for `kernel`.
-///
-/// # Panics
-/// If values exceed a required [`Q8`].
+/// Packs `weight` `[columns, inner]` for `kernel`. Panics if values exceed a required [`Q8`].
 pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
     let mut packed = Vec::new();
     let packing = Packing::Matrix { inner, columns, gated: false, kernel };

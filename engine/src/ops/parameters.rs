@@ -1,5 +1,3 @@
-//! Model parameters.
-
 use super::{
     Arithmetic, AttentionKernel, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
     packing::{Order, Packing, packed_bytes},
@@ -71,10 +69,7 @@ impl ParameterLayout {
         Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic, q8: HashSet::new() }
     }
 
-    /// Keeps these weights in 8 bits.
-    ///
-    /// # Panics
-    /// If the arithmetic has 8-bit integers.
+    /// Keeps these weights in 8 bits. Panics if the arithmetic has 8-bit integers.
     pub fn with_q8(self, names: impl IntoIterator<Item = String>) -> Self {
         let q8: HashSet<String> = names.into_iter().collect();
         assert!(q8.is_empty() || !self.arithmetic.has_integers(), "weights of 8 bits are rounded once");
@@ -119,7 +114,6 @@ impl ParameterLayout {
         self.convolution(name, &[inner], columns)
     }
 
-    /// Declares a convolution as a linear layer.
     pub fn convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.without_integers())
     }
@@ -129,12 +123,10 @@ impl ParameterLayout {
         self.matrix(name, &[inner], columns, false, self.arithmetic)
     }
 
-    /// Always f32.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic.exact())
     }
 
-    /// Always f32.
     pub fn exact_convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.exact())
     }

@@ -23,7 +23,6 @@ impl Pool {
         (side > 1).then_some(Self { side, grid, leading })
     }
 
-    /// # Errors
     /// [`Error::Argument`] outside 1..=[`Pool::MAX_SIDE`].
     pub fn check(side: usize) -> Result<()> {
         if (1..=Self::MAX_SIDE).contains(&side) {

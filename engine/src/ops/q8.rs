@@ -42,10 +42,7 @@ impl Q8 {
         scales.iter().all(|scale| scale.to_f32() <= *Self::SCALES.end()).then_some(Self { integers, scales })
     }
 
-    /// Dequantizes.
-    ///
-    /// # Panics
-    /// If `out` has another length.
+    /// Dequantizes into `out` of the same length.
     pub fn values(&self, out: &mut [f32]) {
         assert_eq!(out.len(), self.integers.len(), "values of {} integers", self.integers.len());
         let groups = self.integers.par_chunks(GROUP).zip(&self.scales);

@@ -9,7 +9,6 @@ use std::ops::Range;
 pub struct Rows {
     pub tensor: Tensor,
     pub count: usize,
-    /// Values per row.
     pub width: usize,
     pub element: Element,
 }
@@ -64,8 +63,7 @@ pub(super) fn aligned_rows(bytes: usize) -> usize {
     SLICE >> bytes.trailing_zeros().min(SLICE.trailing_zeros())
 }
 
-/// Subgroups per workgroup in kernels with a row per subgroup. Workgroups of one subgroup leave
-/// large GPUs idle.
+/// Subgroups per workgroup in kernels with a row per subgroup: one leaves large GPUs idle.
 pub(super) fn row_subgroups(limits: &Limits) -> u32 {
     if limits.cpu { 1 } else { (128 / limits.subgroup_size).max(1) }
 }

@@ -30,8 +30,7 @@ impl Tiles {
     }
 }
 
-/// Splits long 16-bit sums with few tiles. Depends on the shape alone, so tuning never changes
-/// bits.
+/// Splits long 16-bit sums with few tiles, by shape alone: tuning never changes bits.
 pub(super) fn split_k(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
     const LONG: usize = 2048;
     let workgroups = (rows.div_ceil(64) * columns.div_ceil(64)).max(1);

@@ -21,8 +21,8 @@ const MIN_SHARED: usize = 16;
 pub struct BlockOptions {
     /// Maximum views of a block, by default as many as fit.
     pub size: Option<usize>,
-    /// Views that neighboring blocks share, by default a quarter of the size. Blocks chosen by
-    /// position share about this number.
+    /// Views that neighboring blocks share, about that many if chosen by position. By default a
+    /// quarter of the size.
     pub overlap: Option<usize>,
 }
 
@@ -87,8 +87,7 @@ impl BlockLayout {
     /// As [`BlockLayout::new`] for passes of this `shape`.
     ///
     /// # Errors
-    /// Those of `shape`; [`Error::Argument`] for too many patches, or blocks without known cameras
-    /// that share no views.
+    /// Also [`Error::Argument`] for too many patches, or for no shared views without known cameras.
     pub fn checked(
         views: usize,
         size: usize,
@@ -107,8 +106,8 @@ impl BlockLayout {
         if shares { Ok(layout) } else { Err(Error::argument("block overlap", 0, expected)) }
     }
 
-    /// Lays out the joined scene at its largest, from the shape and the scene of one block. Also
-    /// returns its bytes in addition to those of the block.
+    /// Lays out the largest joined scene, from one block's shape and scene. Also returns its bytes
+    /// beyond the block's.
     pub fn scene(&self, limits: &Limits, shape: Shape, block: SceneTensors) -> (SceneTensors, u64) {
         if self.count == 1 {
             return (block, 0);
@@ -119,12 +118,9 @@ impl BlockLayout {
         (scene, layout.bytes())
     }
 
-    /// Chooses the views of each block by the positions of their cameras, or by order. With cameras
-    /// and several blocks, `scale` returns a block's scene scale from its cameras, in the frame of
-    /// the first, and the pose of the first.
-    ///
-    /// # Errors
-    /// Those of `scale`.
+    /// Chooses each block's views by camera positions, or by order. With cameras and several
+    /// blocks, `scale` returns a block's scene scale from its cameras, in the first's frame, and
+    /// the first's pose.
     pub fn blocks(
         &self,
         cameras: Option<&[Camera]>,
@@ -159,7 +155,6 @@ impl BlockLayout {
         ((border(block)..border(block + 1)).collect(), (start(block)..start(block) + self.size).collect())
     }
 
-    /// Returns each block's own views and all its views.
     fn by_position(&self, cameras: &[Camera]) -> Vec<(Vec<usize>, Vec<usize>)> {
         let places: Vec<DVec3> = cameras.iter().map(|camera| camera.pose.translation).collect();
         let mut parts = Vec::new();
@@ -198,7 +193,7 @@ fn halve(mut views: Vec<usize>, count: usize, places: &[DVec3], parts: &mut Vec<
 }
 
 impl Block {
-    /// Returns the cameras of its views, in the frame of its first, and the pose of that one.
+    /// Returns its views' cameras in the first's frame, and the first's pose.
     fn cameras(&self, cameras: &[Camera]) -> (Vec<Camera>, Pose) {
         let origin = cameras[self.views[0]].pose;
         let own = |view: &usize| Camera { pose: cameras[*view].pose.relative_to(&origin), ..cameras[*view] };
@@ -219,12 +214,10 @@ impl Model {
     }
 
     /// As [`Model::reconstruct_views`], in a pass per block. Known cameras place the blocks;
-    /// without them, the patches that blocks share do. A view's Gaussians are those of the block
-    /// that has it as its own.
+    /// without them, shared patches do.
     ///
     /// # Errors
-    /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that
-    /// share too few patches.
+    /// Also [`Error::Argument`] for given tokens, or blocks that share too few patches.
     pub fn reconstruct_blocks(
         &self,
         images: &[Image],
@@ -252,7 +245,6 @@ impl Model {
     }
 }
 
-/// Blocks in one world.
 #[derive(Default)]
 struct Joined {
     scene: Scene,
@@ -331,7 +323,7 @@ impl Joined {
     }
 }
 
-/// Returns the similarity from block `i` of views to the scene.
+/// From block `i` to the scene.
 fn joining(shared: &[[DVec3; 2]], i: usize) -> Result<Similarity> {
     let found = Similarity::of_shared_points(shared).filter(|_| shared.len() >= MIN_SHARED);
     found.ok_or_else(|| {

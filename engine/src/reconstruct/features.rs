@@ -41,7 +41,7 @@ impl BackboneFeatures {
         self.tensors.layers[0].width
     }
 
-    /// Returns the patch tokens of the backbone's last layer, a cell per patch, of each view.
+    /// Returns each view's patch tokens of the last layer, a cell per patch.
     pub fn patch_tokens(&self) -> Result<Vec<PixelValues>> {
         let values: Vec<f32> = self.memory.read(self.tensors.layers[0].tensor)?;
         Ok(PixelValues::of_patches(self.shape.grid, self.channels(), &values))
@@ -95,7 +95,7 @@ impl SceneTokens {
 }
 
 impl Model {
-    /// Runs the backbone, with cameras, unit and pooling of `options`.
+    /// Runs the backbone, with cameras, scene scale and pooling of `options`.
     pub fn features(
         &self,
         images: &[Image],
@@ -156,8 +156,8 @@ impl Model {
         })
     }
 
-    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`.
-    /// Tokens of masked patches are left out.
+    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`,
+    /// without tokens of masked patches.
     pub fn tokens(
         &self,
         features: &BackboneFeatures,

@@ -68,7 +68,7 @@ impl<'a> From<&'a Reconstruction> for SceneSource<'a> {
 pub struct ModelOptions {
     /// Precision of matrix products; by default the fastest that the device computes correctly.
     pub precision: Option<Precision>,
-    /// Architecture of a checkpoint that does not name its own.
+    /// Architecture of a checkpoint that names none.
     pub variant: Option<String>,
 }
 
@@ -132,7 +132,7 @@ impl Model {
     /// As [`Model::load`], with options and progress from 0 to 1.
     ///
     /// # Errors
-    /// Those of [`Model::load`], and [`Error::Argument`] for an unsupported precision.
+    /// Also [`Error::Argument`] for an unsupported precision.
     pub fn load_with(
         device: &Device,
         weights: &str,
@@ -172,7 +172,7 @@ impl Model {
         self.network.weight_bytes()
     }
 
-    /// Side of the square images of its training.
+    /// Side of its square training images.
     pub fn image_size(&self) -> u32 {
         self.image_size
     }

@@ -110,8 +110,8 @@ impl Network {
         Ok(NetworkPlan { plan: rec.finish()?, tensors, layout })
     }
 
-    /// Lays out the blocks of `views` views in passes of this `shape`. By default a block is as
-    /// large as [`MAX_VIEWS`] and the device's memory allow.
+    /// Lays out the blocks of `views` views in passes of this `shape`, by default as large as
+    /// [`MAX_VIEWS`] and the device's memory allow.
     ///
     /// # Errors
     /// Those of `shape`; [`crate::Error::Argument`] for invalid `blocks`.

@@ -44,9 +44,9 @@ pub struct ReconstructOptions {
     /// Known cameras: of the whole photos, or of the views for
     /// [`Model::reconstruct_views`](super::Model::reconstruct_views).
     pub cameras: Option<Vec<Camera>>,
-    /// Length, in camera and scene units, that the network sees as 1. Training scenes have a median
-    /// distance of about 1 from the first camera. By default estimated from the cameras and the
-    /// capture; 1 without cameras.
+    /// Length, in camera and scene units, that the network sees as 1: about the median distance
+    /// from the first camera in training. By default estimated from the cameras and the capture; 1
+    /// without cameras.
     pub scene_scale: Option<f64>,
     /// Capture for the default scene scale.
     pub capture: Option<Capture>,
@@ -57,7 +57,7 @@ pub struct ReconstructOptions {
     pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,
-    /// Passes over blocks of views, if one pass does not hold all.
+    /// Blocks of views, if one pass does not hold all.
     pub blocks: BlockOptions,
 }
 
@@ -169,7 +169,6 @@ pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> 
     Ok(())
 }
 
-/// Expectation of a network without an input for cameras.
 pub(crate) fn no_camera_encoder(network: &str) -> String {
     format!("none: {network} has no camera encoder; networks of ZipSplat and Depth Anything 3 have one")
 }

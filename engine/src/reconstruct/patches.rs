@@ -45,8 +45,7 @@ impl Patches {
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })
     }
 
-    /// Drops the tokens of masked patches, whose Gaussians show masked things. Returns the other
-    /// tokens' numbers, if images have masks.
+    /// Drops the tokens of masked patches. Returns the other tokens' numbers, if images have masks.
     pub(super) fn drop_masked(&mut self, masked: Option<&[bool]>) -> Option<Vec<usize>> {
         let (masked, all) = (masked?, self.indices());
         let tokens: Vec<usize> = (0..all.len()).filter(|token| !masked[all[*token] as usize]).collect();
@@ -78,9 +77,6 @@ impl Patches {
     }
 
     /// Returns the opacity-weighted mean of each token's Gaussians, if any is visible.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] unless tokens have equally many Gaussians.
     pub(super) fn means(&self, scene: &Scene) -> Result<Vec<Option<DVec3>>> {
         if self.is_empty() || scene.is_empty() || !scene.len().is_multiple_of(self.len()) {
             let expected = format!("so many for each of the {} tokens", self.len());

@@ -121,7 +121,6 @@ impl TokenSampling {
         Ok((tokens, kept))
     }
 
-    /// Records the selection of `count` tokens by their features.
     pub(crate) fn record(
         self,
         rec: &mut Recorder,

@@ -44,8 +44,8 @@ impl<const N: usize> Default for HostAdam<N> {
 }
 
 impl<const N: usize> HostAdam<N> {
-    /// Returns the change of the numbers against `gradient`, with the rate of each. A non-finite
-    /// gradient changes nothing.
+    /// Returns the change against `gradient`, with the rate of each number. A non-finite gradient
+    /// changes nothing.
     pub fn step(&mut self, adam: Adam, gradient: [f64; N], rate: impl Fn(usize) -> f64) -> [f64; N] {
         if !gradient.iter().all(|g| g.is_finite()) {
             return [0.0; N];
@@ -73,7 +73,7 @@ pub enum Space {
     Logit,
 }
 
-/// Rate of a tensor of rows, such as coefficients of spherical harmonics by Gaussian.
+/// Rate of a tensor of rows, such as SH coefficients by Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     /// Rate of the first three values of a row.

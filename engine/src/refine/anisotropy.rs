@@ -4,7 +4,7 @@ use crate::{
     ops::row_chunks,
 };
 
-/// Records a step of the largest of each Gaussian's three `scales` down to `ratio` times the middle
+/// Records a step of each Gaussian's largest of three `scales` down to `ratio` times the middle
 /// one, by at most `rate` in its logarithm.
 ///
 /// The host writes [`Adam::schedule`](super::Adam::schedule) to `schedule`, whose rate scales

@@ -17,7 +17,7 @@ pub struct PoseAdam(HostAdam<6>);
 
 impl PoseAdam {
     /// Returns the pose after a step against `gradient`, d loss / d (w, v), with rates of rotation
-    /// in radians and of translation. A non-finite gradient changes nothing.
+    /// in radians and translation. A non-finite gradient changes nothing.
     pub fn step(&mut self, adam: Adam, pose: &Pose, gradient: [f64; 6], [turns, shifts]: [f64; 2]) -> Pose {
         let moved = self.0.step(adam, gradient, |i| if i < 3 { turns } else { shifts });
         let rotation = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from_slice(&moved[..3])));
@@ -29,7 +29,7 @@ impl PoseAdam {
 pub(super) struct Cameras {
     cameras: Vec<Camera>,
     adams: Vec<Option<PoseAdam>>,
-    /// Rates of rotation in radians and of translation in scene units.
+    /// Rates of rotation in radians and translation in scene units.
     rates: [f64; 2],
 }
 

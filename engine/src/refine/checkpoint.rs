@@ -21,18 +21,18 @@ const VERSION_KEY: &str = "version";
 const REMEDY: &str = "; delete the file to start over";
 const VERSION: &str = concat!("1 of zipsplat ", env!("CARGO_PKG_VERSION"));
 
-/// Checkpoint file of a refinement, which continues from the file if it exists.
+/// Checkpoint file, from which a refinement continues if it exists.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineCheckpoint {
-    /// Path of the safetensors file, replaced atomically. It remains after the refinement.
+    /// Safetensors file, replaced atomically and kept after the refinement.
     pub path: PathBuf,
-    /// Time between two writes; also written when `progress` ends the refinement.
+    /// Time between writes; also written when `progress` ends the refinement.
     pub interval: Duration,
-    /// Identity of the photos' contents, such as names and times of their files.
+    /// Identity of the photos' contents, such as file names and times.
     pub photos: String,
 }
 
-/// Name and value of conditions that a checkpoint shares with the refinement that continues it.
+/// Names and values of conditions that a checkpoint and its continuation share.
 pub(super) type Identity = Vec<(&'static str, String)>;
 
 /// A state that is written, or read in the same order.
@@ -106,7 +106,6 @@ impl State<'_> {
         }
     }
 
-    /// Values `to` and `from` numbers.
     pub fn mapped<T, U: Element>(
         &mut self,
         name: &str,
@@ -217,7 +216,7 @@ fn view((name, dtype, shape, bytes): &Values) -> Result<(&str, TensorView<'_>), 
     Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?))
 }
 
-/// Returns the conditions that decide a refinement's result. `start` is the initial values' hash.
+/// `start` is the initial values' hash.
 pub(super) fn identity(
     checkpoint: &RefineCheckpoint,
     device: &Device,
@@ -238,7 +237,6 @@ pub(super) fn identity(
     ]
 }
 
-/// Hashes values after others.
 pub(super) fn hashed<T: Pod>(hash: u64, values: &[T]) -> u64 {
     let word = |bytes: &[u8]| bytes.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
     let words = bytemuck::cast_slice(values).chunks(8).map(word);

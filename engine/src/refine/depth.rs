@@ -1,14 +1,11 @@
-//! Known depth of photos.
-
 use crate::{Error, Result, stages::depth_loss::DepthKind};
 use std::sync::Arc;
 
 /// Returns the targets of photo `i`: inverse depth, or 0 if unknown, at a size and outside its
 /// mask. Samples the nearest depth: means across edges are at no surface. Relative inverse depth
-/// becomes 1 plus its ratio to the mean, which suits the fit's sums.
+/// becomes 1 plus its ratio to the mean, for the fit's sums.
 ///
-/// # Errors
-/// [`Error::Argument`] for depth of another size, or that is negative or not finite.
+/// [`Error::Argument`] for depth of another size, negative or not finite.
 pub(super) fn targets(
     i: usize,
     depth: &[f32],

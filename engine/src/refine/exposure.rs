@@ -28,9 +28,8 @@ const RUN: usize = 8;
 const PRIOR: f64 = 0.02;
 /// Limit of a photo's first brightness relative to the scene's, and of its inverse.
 const MAX_GAIN: f64 = 4.0;
-/// Part of the squared error that different exposures explain if they are to be learned.
+/// Part of the squared error that exposures must explain to be learned.
 const EXPLAINED: f64 = 0.2;
-/// Upper limit of a transform's rate in a step.
 const MAX_RATE: f64 = 0.1;
 
 /// Frames with the exposures of their photos.
@@ -46,7 +45,7 @@ pub struct Exposed {
 
 impl Exposed {
     /// Records the transforms of `frames` `[cameras, height, width, 3]` by `transforms` `[cameras,
-    /// 3, 4]`. Values beyond the white or black of saturated `targets` become those.
+    /// 3, 4]`. Values beyond saturated `targets` become those.
     pub fn record(rec: &mut Recorder, [frames, targets, transforms]: [Tensor; 3], shape: FrameShape) -> Self {
         let exposed = rec.tensor::<f32>("exposed", 3 * pixels_of(shape) * shape.cameras);
         rec.scope("exposure", |rec| {
@@ -102,7 +101,7 @@ fn pixels_of(shape: FrameShape) -> usize {
     shape.width as usize * shape.height as usize
 }
 
-/// Returns ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
+/// Ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
 fn parts(
     rec: &Recorder,
     shape: FrameShape,
@@ -115,15 +114,14 @@ fn parts(
     })
 }
 
-/// Returns the step before which exposures may begin to be learned.
 pub(super) fn first_step(steps: usize) -> usize {
     (steps / 10).max(MIN_WARM_UP)
 }
 
-/// Factors of a drawn picture's red, green and blue that fit its photo best.
+/// Factors of a drawn picture's colors that fit its photo best.
 struct Gains {
     factors: [f64; 3],
-    /// Squared errors of the picture, without and with the factors.
+    /// Squared errors, without and with the factors.
     squares: [f64; 2],
 }
 
@@ -152,7 +150,7 @@ impl Gains {
 }
 
 /// Transforms of all photos. Those of training photos are learned, with the identity as their mean:
-/// else a common factor would be the scene's or theirs.
+/// else a common factor could be the scene's or theirs.
 #[derive(Clone)]
 pub(super) struct Exposures {
     /// Differences from the identity.
@@ -164,8 +162,8 @@ pub(super) struct Exposures {
 }
 
 impl Exposures {
-    /// Begins to learn the exposures of `training` among `count` photos, if asked to or if those of
-    /// `views` differ.
+    /// Begins to learn the exposures of `training` among `count` photos, if requested or if those
+    /// of `views` differ.
     pub fn start(
         gaussians: &mut Gaussians,
         options: &RefineOptions,
@@ -196,7 +194,6 @@ impl Exposures {
         }
     }
 
-    /// Exposures that may not have begun.
     pub fn state(
         state: &mut State<'_>,
         name: &str,
@@ -220,7 +217,6 @@ impl Exposures {
         (0..3).for_each(|color| self.changes[photo][5 * color] = gains.factors[color] - 1.0);
     }
 
-    /// Sets the transforms of views.
     pub fn expose(&mut self, gaussians: &mut Gaussians, views: &mut [View]) -> Result<()> {
         for view in views {
             if self.adams[view.photo].is_none() {
@@ -246,7 +242,7 @@ impl Exposures {
         changes.iter_mut().zip(moved).for_each(|(change, moved)| *change += moved);
     }
 
-    /// Moves the mean of all training photos to the identity, once all have been used.
+    /// Moves the mean of all training photos to the identity, once all are used.
     pub fn center(&mut self) {
         if !self.training.iter().all(|photo| self.adams[*photo].is_some()) {
             return;

@@ -1,5 +1,5 @@
-//! Floaters: Gaussians in space that the initial scene shows to be empty. They fit one photo and
-//! veil the pictures of cameras beside it.
+//! Floaters: Gaussians in space that the initial scene shows empty. They fit one photo and veil the
+//! pictures of cameras beside it.
 
 use super::growth::INVISIBLE;
 use crate::types::{Camera, Pose, Scene, matrix_from_quaternion};
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 const CELLS: usize = 24;
 /// Least depth relative to the least initial one around a cell.
 const RATIO: f64 = 0.3;
-/// Least number of initial Gaussians around a cell, and the quantile of all depths for fewer.
+/// Fewest initial Gaussians around a cell, and the quantile of all depths for fewer.
 const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
 /// Largest factor of a floater's distance and size; others become invisible.
@@ -21,7 +21,6 @@ const INSIDE: f64 = 3.0;
 /// penalizes floaters there.
 const BETWEEN: [f64; 2] = [0.3, 0.5];
 const NEAREST: usize = 3;
-/// Limit of cameras with places.
 const MAX_CAMERAS: usize = 64;
 
 /// Places of cameras and between them, with the least depth by cell of their pictures.
@@ -49,9 +48,9 @@ impl FreeSpace {
         Self { places, depths, around }
     }
 
-    /// Pushes floaters back to the depth of the initial scene, where they look alike to their
-    /// camera, and makes those around or very near a camera invisible. Returns their indices.
-    /// `cameras` are those of [`FreeSpace::new`], moved or not.
+    /// Pushes floaters back to the initial scene's depth, where they look alike to their camera.
+    /// Makes those around or very near a camera invisible. Returns their indices. `cameras` are
+    /// those of [`FreeSpace::new`], moved or not.
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
         let centers: Vec<DVec3> = compared.iter().map(|camera| camera.pose.translation).collect();
@@ -134,7 +133,7 @@ fn least_depths(scene: &Scene, camera: &Camera) -> Depths {
     least.map(|cells| cells.map(|(depth, count)| if count < ENOUGH { depth.min(other) } else { depth }))
 }
 
-/// Returns the row and column of a point's cell, and its depth, if the camera sees it.
+/// Row and column of a point's cell, and its depth, if the camera sees it.
 fn cell(camera: &Camera, point: &[f32; 3]) -> Option<([usize; 2], f64)> {
     let DVec3 { x, y, z } = camera.project(DVec3::from(point.map(f64::from)))?;
     let [row, column] = [(y, camera.intrinsics.height), (x, camera.intrinsics.width)]

@@ -27,14 +27,13 @@ pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 const EPS: f32 = 0.006;
 /// The same for means, also times the scene scale.
 const MEANS_EPS: f32 = 0.6;
-/// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
+/// Least scale, and least distance of opacities from 0 and 1, for logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
 /// Limit of a Gaussian's largest scale relative to its middle one: longer needles fit noise.
 const MAX_ANISOTROPY: f32 = 5.0;
-/// Rate of that limit relative to the scales' rate: above 1, so that it prevails.
+/// Rate of that limit relative to the scales' rate: above 1 to prevail.
 const LIMIT_RATE: f32 = 2.0;
-/// Limit of pixels per run.
 const MAX_BATCH_PIXELS: usize = 1 << 20;
 
 const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
@@ -221,7 +220,7 @@ impl Gaussians {
         self.drawing = RenderOptions::default().for_scene(scene);
     }
 
-    /// Draws a photo's camera: `[height][width][rgb]` and the number of tile intersections.
+    /// Draws a photo's camera: `[height][width][rgb]` and the count of tile intersections.
     pub fn draw(&mut self, view: &View) -> Result<(Vec<f32>, usize)> {
         loop {
             if let Some(PhotoPlan { run, recorded }) = self.run(&[view], false)? {
@@ -230,7 +229,7 @@ impl Gaussians {
         }
     }
 
-    /// Runs the plan of photos of one size. Returns `None` after an overflow; the next is larger.
+    /// Runs the plan of photos of one size; `None` after an overflow, and the next is larger.
     fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
         self.cleared &= !backward;
         let depth_weight = self.depth_weight;

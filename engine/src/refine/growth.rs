@@ -1,6 +1,5 @@
-//! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024). Plans have a
-//! fixed number of Gaussians, so unlike the paper all exist from the start and become alive over
-//! time.
+//! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024). Plans fix
+//! the number of Gaussians: unlike the paper, all exist from the start and become alive over time.
 
 use super::checkpoint::State;
 use crate::{

@@ -47,11 +47,11 @@ use std::{
 };
 use views::fitted;
 
-/// Least number of photos with a held-out one by default: fewer are all needed for training.
+/// Fewest photos with a held-out one by default: fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
-/// Least number of steps with growth by default.
+/// Fewest steps with growth by default.
 const GROWTH_FROM: usize = 50;
-/// Upper limit of the training PSNR in dB for growth by default.
+/// Limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;
@@ -61,7 +61,7 @@ const MOST_GROWTH: f64 = 16.0;
 const DETAIL: [usize; 2] = [200, 800];
 /// Growth by a factor makes the mean step slower by this power of it.
 const GROWTH_COST: f64 = 0.42;
-/// Additional power for the part of the factor that is due to the steps.
+/// Additional power for the steps' part of the factor.
 const DETAIL_COST: f64 = 0.35;
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
 const ENOUGH_STEPS: u32 = 150;
@@ -81,7 +81,7 @@ pub struct RefineProgress<'a> {
     pub psnr: Option<f64>,
     /// Estimated time left.
     pub eta: Duration,
-    /// Gaussians after this step, if among [`RefineOptions::snapshots`].
+    /// Gaussians after this step, for [`RefineOptions::snapshots`].
     pub scene: Option<&'a Scene>,
 }
 
@@ -92,7 +92,7 @@ pub enum StopReason {
     Cancelled,
     /// The loss became NaN or infinite, or grew.
     Diverged(String),
-    /// A photo could not be opened, or a checkpoint could not be written.
+    /// A photo could not be opened or a checkpoint written.
     Io(String),
 }
 
@@ -103,10 +103,10 @@ pub struct RefineResult {
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
-    /// Transforms from the kept scene's colors to those of all photos, if exposures were learned;
-    /// held-out photos have the identity.
+    /// Transforms from the kept scene's colors to all photos', if exposures were learned; the
+    /// identity for held-out photos.
     pub exposures: Option<Vec<ColorTransform>>,
-    /// Steps of the checkpoint that was continued, or 0.
+    /// Steps of the continued checkpoint, or 0.
     pub resumed_step: usize,
     /// Steps to complete, also of a [`RefineLength::Time`].
     pub steps: usize,
@@ -118,7 +118,7 @@ pub struct RefineResult {
     pub holdout_psnr: Vec<(usize, f64)>,
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
-    /// Fraction of the pixels that masks ignore in those photos.
+    /// Fraction of masked pixels in those photos.
     pub masked_fraction: f64,
     /// Fraction of those pixels with known depth, for [`RefineOptions::depth_loss`].
     pub depth_fraction: f64,
@@ -152,7 +152,6 @@ impl RefineResult {
 /// `progress` runs after every step; if it ends the refinement, the best scene so far is returned.
 ///
 /// # Errors
-///
 /// [`Error::Argument`] for an unusable scene, photo, camera or options, or missing LPIPS weights.
 pub fn refine_scene(
     arena: &Arena,
@@ -179,7 +178,7 @@ pub fn refine_scene(
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
 ///
 /// # Errors
-/// Those of [`refine_scene`], and [`Error::Argument`] if the tokens belong to another head.
+/// Also [`Error::Argument`] if the tokens belong to another head.
 pub fn refine_tokens(
     arena: &Arena,
     head: &FrozenHead,
@@ -199,8 +198,7 @@ pub fn refine_tokens(
     run(arena, (&make, &hash), None, &photos, cameras, options, progress)
 }
 
-/// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
-/// grows.
+/// Number of Gaussians that a scene of `len` grows to, if it grows.
 fn grown_len(
     options: &RefineOptions,
     steps: usize,
@@ -329,7 +327,7 @@ fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Opt
     fits
 }
 
-/// Returns half the size of the largest photo as it fits `most`, unless too small.
+/// Half the largest photo's size within `most`, unless too small.
 fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
     let largest = sizes(photos, most, 2).max_by_key(|[width, height]| width * height);
     largest.filter(|half| half.iter().all(|side| *side >= SHORTEST))

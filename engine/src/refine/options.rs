@@ -1,5 +1,3 @@
-//! Settings of a refinement.
-
 use super::{DETAIL, RefineCheckpoint};
 use crate::stages::{depth_loss::DepthKind, loss::Loss, lpips::LpipsNetwork};
 use std::time::Duration;
@@ -9,8 +7,8 @@ use std::time::Duration;
 pub enum RefineLength {
     /// Optimizer steps.
     Steps(usize),
-    /// Approximate duration; the steps and the photos' size follow from the measured time of a few
-    /// steps. The same steps and size give the same bits.
+    /// Approximate duration; the measured time of a few steps decides the steps and the photos'
+    /// size. The same steps and size give the same bits.
     Time(Duration),
 }
 
@@ -30,8 +28,8 @@ impl RefineLength {
     }
 }
 
-/// Whether to learn a color transform per photo, for photos of different exposure or white balance.
-/// The scene's colors are the photos' mean: where exposures are equal, held-out photos fit worse.
+/// Whether to learn a color transform per photo, for different exposure or white balance. The
+/// scene's colors are the photos' mean: where exposures are equal, held-out photos fit worse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Exposure {
     /// If a factor per photo and color explains much of the error after the first steps.
@@ -52,8 +50,8 @@ pub struct RefineOptions {
     pub views_per_step: usize,
     /// Largest width and height of photos; larger ones are downscaled. `None`: full size.
     pub max_image_size: Option<[u32; 2]>,
-    /// Limit of the photos' bytes in host memory; others are opened again at every use. A few more
-    /// are in use. 4 GiB by default.
+    /// Limit of photo bytes in host memory, besides a few in use; others are opened again at every
+    /// use. 4 GiB by default.
     pub max_photo_bytes: u64,
     /// Number of held-out photos, which reveal overfitting. `None`: 1 from 40 photos on, 0 if
     /// cameras are refined.
@@ -73,10 +71,10 @@ pub struct RefineOptions {
     /// Whether to draw and return an antialiased scene (Mip-Splatting), by default
     /// [`Scene::antialiased`](crate::types::Scene::antialiased).
     pub antialiased: Option<bool>,
-    /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
-    /// growth if at most the scene's number. `None`: from 50 steps on and below a training PSNR of
-    /// 25 dB, one per 32 pixels of the photos, at most 16 times the scene's number; from 200 steps
-    /// on more, up to twice as many at 800.
+    /// Number of Gaussians to grow to, by relocating invisible and adding new ones. No growth if at
+    /// most the scene's number. `None`: from 50 steps on and below a training PSNR of 25 dB, one
+    /// per 32 pixels of the photos, at most 16 times the scene's number; from 200 steps on more, up
+    /// to twice as many at 800.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
@@ -84,12 +82,12 @@ pub struct RefineOptions {
     pub scale_penalty: f32,
     /// Whether the first half of the steps uses downscaled photos.
     pub coarse_to_fine: bool,
-    /// Batch limit for photos of one size. `None`: a whole step on a GPU, 1 on a CPU.
+    /// Batch limit for photos of one size. `None`: the whole step on a GPU, 1 on a CPU.
     pub batch_size: Option<usize>,
-    /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
-    /// number of Gaussians.
+    /// Initial capacity in tile intersections per photo, grown on demand. `None`: from the number
+    /// of Gaussians.
     pub intersection_capacity: Option<usize>,
-    /// Number of scenes passed to `progress`, evenly spaced.
+    /// Scenes passed to `progress`, evenly spaced.
     pub snapshots: usize,
     /// Seed of the photo order and of growth.
     pub seed: u64,
@@ -137,7 +135,7 @@ pub struct PerceptualLoss {
     pub network: LpipsNetwork,
 }
 
-/// The depth term of a loss: the mean difference of inverse depth, relative to the scene scale.
+/// The depth term of a loss: mean difference of inverse depth, relative to the scene scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthLoss {
     /// Initial factor, which falls to a hundredth over the steps.
@@ -162,29 +160,29 @@ impl DepthLoss {
     }
 }
 
-/// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they are
-/// inversely proportional to the steps.
+/// Initial rates of Adam for at most 100 steps, which decay to a tenth. For more steps, inversely
+/// proportional to the steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearningRates {
-    /// Rate of centers, relative to the scene scale.
+    /// Centers, relative to the scene scale.
     pub means: f32,
-    /// Rate of log scales.
+    /// Log scales.
     pub scales: f32,
-    /// Rate of unit quaternions.
+    /// Unit quaternions.
     pub quats: f32,
-    /// Rate of opacity logits.
+    /// Opacity logits.
     pub opacities: f32,
-    /// Rate of colors, the coefficients of degree 0.
+    /// Colors, the coefficients of degree 0.
     pub sh_coeffs: f32,
-    /// Rate of coefficients of higher degrees.
+    /// Coefficients of higher degrees.
     pub sh_higher: f32,
-    /// Rate of tokens, if refined.
+    /// Tokens, if refined.
     pub tokens: f32,
-    /// Rate of camera rotations in radians, if refined.
+    /// Camera rotations in radians, if refined.
     pub camera_rotation: f32,
-    /// Rate of camera translations, relative to the scene scale.
+    /// Camera translations, relative to the scene scale.
     pub camera_translation: f32,
-    /// Rate of color transforms, times the steps between uses of a photo.
+    /// Color transforms, times the steps between uses of a photo.
     pub exposure: f32,
 }
 

@@ -19,14 +19,14 @@ pub trait Photos: Sync {
     /// Width and height of a photo in pixels.
     fn size(&self, i: usize) -> [u32; 2];
 
-    /// Decodes a photo of this size, with its mask, if any. Several threads may open photos, also
-    /// repeatedly.
+    /// Decodes a photo of this size, with its mask, if any. Threads may open photos repeatedly and
+    /// at the same time.
     ///
     /// # Errors
     /// An unreadable photo.
     fn open(&self, i: usize) -> Result<Cow<'_, Image>>;
 
-    /// Known depth along the camera's axis by pixel of a photo, 0 if unknown; for
+    /// Known depth along the camera's axis by pixel, 0 if unknown; for
     /// [`RefineOptions::depth_loss`](super::RefineOptions::depth_loss).
     ///
     /// # Errors
@@ -54,7 +54,6 @@ impl<T: AsRef<[Image]> + Sync> Photos for T {
 #[derive(Clone, Debug, PartialEq)]
 struct Photo {
     image: Arc<Image>,
-    /// Target of the depth loss by pixel.
     depth: Option<Arc<[f32]>>,
 }
 
@@ -87,7 +86,6 @@ impl<'a> PhotoCache<'a> {
         fitted(self.photos.size(i), self.max_size, factor)
     }
 
-    /// Returns a photo's camera at a downscaling factor.
     pub fn camera(&self, i: usize, camera: &Camera, factor: u32) -> Result<Camera> {
         resized(i, camera, self.photos.size(i), self.size(i, factor))
     }
@@ -108,8 +106,7 @@ impl<'a> PhotoCache<'a> {
         now.iter().zip(found).map(view).collect()
     }
 
-    /// Returns photos `now` at a downscaling factor. If one is to be opened, idle threads open
-    /// photos that are needed `soon`.
+    /// Returns photos `now`. If one must be opened, idle threads open photos needed `soon`.
     fn get(&mut self, now: &[usize], soon: &[usize], factor: u32) -> Result<Vec<Photo>> {
         self.ahead.retain(|(photo, of), _| *of == factor && (now.contains(photo) || soon.contains(photo)));
         let mut lacking: Vec<usize> = Vec::new();
@@ -133,7 +130,7 @@ impl<'a> PhotoCache<'a> {
         self.open_all(fitting, 1)
     }
 
-    /// Opens photos and whether to keep them.
+    /// Opens photos and keeps the flagged ones.
     fn open_all(&mut self, photos: Vec<(usize, bool)>, factor: u32) -> Result<()> {
         let opened = photos.into_par_iter().map(|(photo, keep)| {
             let photos = self.open(photo, if keep { self.factors(photo) } else { vec![factor] })?;

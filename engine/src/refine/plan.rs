@@ -24,7 +24,7 @@ use crate::{
 /// Optimized parameters.
 #[derive(Clone, Copy, Debug)]
 pub enum Moved<'a> {
-    /// Number of Gaussians, and the degree of their harmonics.
+    /// Number of Gaussians and their SH degree.
     Gaussians(usize, u32),
     /// Number of tokens, and the network of their head.
     Tokens(usize, &'a Architecture),
@@ -46,11 +46,9 @@ impl RefinePlan {
 }
 
 /// Plans a refinement against `photos` photos of `[width, height]` pixels, `masked` or not, without
-/// a device.
-/// [`Exposure::Auto`] is planned as [`Exposure::Off`].
+/// a device. [`Exposure::Auto`] is planned as [`Exposure::Off`].
 ///
 /// # Errors
-///
 /// [`Error::Argument`](crate::Error::Argument) if all photos are held out or tokens are to grow.
 pub fn plan_refinement(
     limits: &Limits,

@@ -64,9 +64,7 @@ pub(super) struct Training<'a> {
     pub options: &'a RefineOptions,
     pub gradients: &'a Gradients,
     pub lpips: Option<&'a Lpips>,
-    /// Whether the photos have color transforms.
     pub exposure: bool,
-    /// Whether any photo has a mask.
     pub masked: bool,
     /// Whether any photo has depth, for the depth loss.
     pub depth: bool,
@@ -171,7 +169,6 @@ fn record_perceptual(
 }
 
 impl PhotoPlan {
-    /// Writes the cameras, the photos and the weight of depth.
     pub fn write(&mut self, views: &[&View], depth_weight: f32) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;

@@ -22,7 +22,7 @@ use crate::{
 };
 use std::{collections::VecDeque, ops::ControlFlow, time::Instant};
 
-/// Number of evaluations of held-out photos or, without any, of the loss.
+/// Evaluations of held-out photos or, without any, of the loss.
 const EVALUATIONS: usize = 20;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
@@ -317,8 +317,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Marks a checkpoint when held-out PSNR improves. Without held-out photos, when the mean loss
-    /// at the current size improves.
+    /// Marks a checkpoint when held-out PSNR improves, or without held-out photos the mean loss at
+    /// the current size.
     fn evaluate(&mut self, step: usize) -> Result<()> {
         if self.evaluated == Some(step) {
             return Ok(());
@@ -365,7 +365,7 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// A loss belongs to the Gaussians before its step: it validates the marked checkpoint, not the
+    /// A loss is of the Gaussians before its step: it validates the marked checkpoint, not the
     /// current state.
     fn check_loss(&mut self) -> Option<String> {
         let round = self.training.len().div_ceil(self.options.views_per_step);

@@ -12,9 +12,9 @@ const LAST_DEPTH: f64 = 0.01;
 /// Least shorter side of a downscaled photo, in pixels.
 const SHORTEST: u32 = 96;
 
-/// Cosine decay of the rate to a tenth, and a coarse-to-fine order of photo sizes. Beyond `FULL`
-/// steps the first rate is inversely proportional to the steps: this bounds the drift of Gaussians
-/// that few photos constrain.
+/// Cosine decay of the rate to a tenth, and coarse-to-fine photo sizes. Beyond `FULL` steps the
+/// first rate is inversely proportional to the steps, which bounds the drift of Gaussians that few
+/// photos constrain.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
@@ -29,12 +29,11 @@ impl Schedule {
         self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
-    /// Returns the fraction of the depth loss's initial weight.
+    /// Fraction of the initial weight.
     pub fn depth_weight(&self, step: usize) -> f32 {
         LAST_DEPTH.powf(step as f64 / (self.steps.max(2) - 1) as f64) as f32
     }
 
-    /// Returns a step's downscaling factor.
     pub fn factor(&self, step: usize, shortest: u32) -> u32 {
         let along = step as f64 / self.steps as f64;
         let fits = |(until, factor): &&(f64, u32)| self.coarse && along < *until && shortest >= factor * SHORTEST;
@@ -42,7 +41,7 @@ impl Schedule {
     }
 }
 
-/// Returns the fraction of the steps at each downscaling factor, for this shorter side.
+/// Fraction of the steps at each downscaling factor, for this shorter side.
 pub(super) fn phases(coarse: bool, shortest: u32) -> impl Iterator<Item = (f64, u32)> {
     let fits = move |(_, factor): &(f64, u32)| coarse && shortest >= factor * SHORTEST;
     let mut from = 0.0;
@@ -50,9 +49,8 @@ pub(super) fn phases(coarse: bool, shortest: u32) -> impl Iterator<Item = (f64, 
     COARSE.into_iter().filter(fits).chain([(1.0, 1)]).map(phase)
 }
 
-/// Returns the fraction of the rates for a scene of this training PSNR: its error relative to that
-/// at 20 dB, at most 1. Adam's steps have full length at any gradient, which would harm a good
-/// scene.
+/// Fraction of the rates for this training PSNR: the error relative to that at 20 dB, at most 1.
+/// Adam's steps have full length at any gradient, which would harm a good scene.
 pub(super) fn rate_of_error(psnr: f64) -> f32 {
     10f64.powf((GOOD - psnr) / 20.0).min(1.0) as f32
 }

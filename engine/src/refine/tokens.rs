@@ -30,7 +30,6 @@ impl FrozenHead {
     /// Loads the head of a checkpoint.
     ///
     /// # Errors
-    ///
     /// [`Error::Memory`] if the device has too little; an unreadable checkpoint.
     pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
         let architecture = checkpoint.architecture().clone();

@@ -18,12 +18,10 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Values of kept pixels.
     pub fn values(&self) -> Vec<f32> {
         self.image.kept(&self.image.rgb).iter().map(|value| f32::from(*value) / 255.0).collect()
     }
 
-    /// Returns the PSNR of kept pixels.
     pub fn psnr(&self, drawn: &[f32]) -> f64 {
         let drawn = self.image.kept(drawn);
         let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
@@ -37,7 +35,7 @@ pub(super) fn resized(i: usize, camera: &Camera, from: [u32; 2], size: [u32; 2])
     PixelMap::resized(from, size).camera(camera, &format!("camera {i}"))
 }
 
-/// Returns the size of a photo that fits `most`, with its sides divided by `factor`.
+/// Size of a photo that fits `most`, with its sides divided by `factor`.
 pub(super) fn fitted(size: [u32; 2], most: Option<[u32; 2]>, factor: u32) -> [u32; 2] {
     let fits =
         |[width, height]: [u32; 2]| (f64::from(width) / f64::from(size[0])).min(f64::from(height) / f64::from(size[1]));
@@ -45,8 +43,7 @@ pub(super) fn fitted(size: [u32; 2], most: Option<[u32; 2]>, factor: u32) -> [u3
     size.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
-/// Splits `count` photos into evenly spaced held-out ones and training ones, returned as training,
-/// held out.
+/// Splits `count` photos into training ones and evenly spaced held-out ones.
 pub(super) fn split(count: usize, held_out: usize) -> (Vec<usize>, Vec<usize>) {
     let holdout: Vec<usize> = (0..held_out).map(|i| (2 * i + 1) * count / (2 * held_out)).collect();
     ((0..count).filter(|i| !holdout.contains(i)).collect(), holdout)

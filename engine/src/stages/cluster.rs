@@ -24,7 +24,7 @@ pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
     ((tokens as f64 * ratio) as usize).clamp(1, tokens.max(1))
 }
 
-/// The paper's ratio: 0.5 sqrt(2 / views), at most 1.
+/// The paper's ratio.
 pub fn auto_ratio(views: usize) -> f64 {
     (0.5 * (2.0 / views.max(1) as f64).sqrt()).min(1.0)
 }
@@ -91,8 +91,8 @@ pub fn record(
 
 /// Records the selection of `count` tokens of `views` by mutual nearest neighbors, `[count]` u32.
 ///
-/// Of the tokens that show a point, the first view's remains. The paper's appendix D tries such
-/// matching; the order is this project's.
+/// Of the tokens that show a point, the first view's remains. Matching as in the paper's appendix
+/// D; the order is this project's.
 pub fn mutual(rec: &mut Recorder, kernel: NearestKernel, tokens: Rows, views: usize, count: usize) -> Tensor {
     let Rows { count: all, width, .. } = tokens;
     let (patches, pitch) = (all / views, all.next_multiple_of(SLICE));

@@ -1,5 +1,3 @@
-//! Loss of rendered depth.
-
 use super::FrameShape;
 use crate::{
     gpu::{Recorder, Tensor},
@@ -101,7 +99,6 @@ impl DepthFrames {
     }
 }
 
-/// Consecutive cameras.
 #[derive(Clone, Copy)]
 struct Part {
     first: u32,

@@ -72,8 +72,8 @@ pub fn record_loss(
     LossTensors { value, d_frames }
 }
 
-/// Records the conversion of 8-bit photos, `photos` `[ceil(count / 4)]` u32 of 4 bytes, to targets
-/// `[count]` f32 from 0 to 1.
+/// Records the conversion of `photos`, `[ceil(count / 4)]` u32 of 4 bytes, to targets `[count]` f32
+/// from 0 to 1.
 pub fn record_targets(rec: &mut Recorder, photos: Tensor, count: usize) -> Tensor {
     let targets = rec.tensor::<f32>("targets", count);
     for part in row_chunks(rec, count.div_ceil(4), &[size_of::<u32>(), size_of::<[f32; 4]>()]) {
@@ -89,7 +89,7 @@ pub fn record_targets(rec: &mut Recorder, photos: Tensor, count: usize) -> Tenso
     targets
 }
 
-/// Records `frames` whose masked pixels are those of `targets`, both `[pixels, 3]`: these have no
+/// Records `frames` with the masked pixels of `targets`, both `[pixels, 3]`, which have no
 /// difference in any loss. A byte of 0 in `masks`, `[ceil(pixels / 4)]` u32, masks its pixel.
 pub fn record_masked(rec: &mut Recorder, [frames, targets, masks]: [Tensor; 3], pixels: usize) -> Tensor {
     let masked = rec.tensor::<f32>("masked", 3 * pixels);

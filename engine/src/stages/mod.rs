@@ -63,16 +63,14 @@ pub struct DepthFeatures {
 
 /// Translation 3, quaternion 4, vertical and horizontal field of view.
 const POSE_ENCODING: usize = 9;
-/// With padding.
 const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
 /// Reference view, if no cameras are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
-    /// By index.
     View(usize),
-    /// The view nearest to the mean. Among views within a thousandth of the best, the first, so
-    /// that rounding does not decide.
+    /// The view nearest to the mean. The first of those within a thousandth of the best, so that
+    /// rounding does not decide.
     Balanced,
 }
 
@@ -108,7 +106,6 @@ pub struct FrameShape {
     pub height: u32,
 }
 
-/// A scene on the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneTensors {
     /// `[len, 3]` world.

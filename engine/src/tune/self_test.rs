@@ -33,10 +33,8 @@ impl SelfTest {
         Ok(test)
     }
 
-    /// Returns cached or new results for `wanted`.
-    ///
-    /// # Errors
-    /// Other failures fail their kernel.
+    /// Returns cached or new results for `wanted`. Only failures that stop the other kernels are
+    /// errors.
     pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");
         let Record { begun, result } = file.as_deref().and_then(Record::read).unwrap_or_default();

@@ -48,7 +48,6 @@ impl Tuning {
         serde_json::from_slice(&fs::read(cache_file(device, "tuning")?).ok()?).ok()
     }
 
-    /// # Errors
     /// [`Error::Argument`] without a cache folder, [`Error::Io`].
     pub fn keep(&self, device: &Device) -> Result<()> {
         let file = cache_file(device, "tuning");

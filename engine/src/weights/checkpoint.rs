@@ -35,10 +35,8 @@ const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/mod
 type Identified = (Architecture, Option<String>);
 
 impl Checkpoint {
-    /// Returns the model of `engine/models/README.md`.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without feature `embedded-model`.
+    /// Returns the model of `engine/models/README.md`, or [`Error::Argument`] without feature
+    /// `embedded-model`.
     pub fn builtin() -> Result<Self> {
         #[cfg(feature = "embedded-model")]
         let found = Self::from_bytes("the embedded model", EMBEDDED, None);
@@ -68,9 +66,9 @@ impl Checkpoint {
     /// Opens safetensors or a `torch.save` state dictionary, alone or as entry `model`, of F32,
     /// F16, BF16 or F64 (rounded to F32).
     ///
-    /// Wrappers `module` and `_orig_mod` are dropped from names. An unstated architecture follows
-    /// from shapes, the training configuration and `variant`: one of [`VARIANTS`](super::VARIANTS)
-    /// or [`RECIPES`](super::RECIPES), with overrides `:out_layers=A,B,..`, `:alt_start=N`,
+    /// Drops wrappers `module` and `_orig_mod` from names. An unstated architecture follows from
+    /// shapes, the training configuration and `variant`: one of [`VARIANTS`](super::VARIANTS) or
+    /// [`RECIPES`](super::RECIPES), with overrides `:out_layers=A,B,..`, `:alt_start=N`,
     /// `:rope_start=N`, `:camera_heads=N`, `:gaussians_per_token=N`, `:sh_degree=N`.
     /// [`Checkpoint::notes`] lists assumptions.
     ///
@@ -135,7 +133,6 @@ impl Checkpoint {
         self.image_size
     }
 
-    /// # Errors
     /// [`Error::Argument`] for 8-bit arithmetic with [`Q8`] weights.
     pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
         if !arithmetic.has_integers() || self.q8_names().next().is_none() {

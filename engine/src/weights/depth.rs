@@ -8,7 +8,6 @@ use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, safetensors};
 use crate::{Error, Result, stages::MAX_DEPTH};
 
 const BACKBONE: &str = "model.backbone.pretrained";
-/// Of VGGT.
 const AGGREGATOR: &str = "aggregator.";
 const GAUSSIANS: &str = "model.gs_head.";
 const POINTS: &str = "point_head.";
@@ -53,12 +52,12 @@ impl DepthCheckpoint {
         }
     }
 
-    /// Opens with the Gaussian head, if there is one.
+    /// Opens with the Gaussian head, if any.
     pub fn whole(open: impl Fn(DepthHeads) -> Result<Self>) -> Result<Self> {
         Self::with_all(|heads| open(DepthHeads { points: false, ..heads }))
     }
 
-    /// Opens with all heads that there are.
+    /// Opens with all its heads.
     pub fn with_all(open: impl Fn(DepthHeads) -> Result<Self>) -> Result<Self> {
         let found = open(DepthHeads::default())?;
         if found.heads == DepthHeads::default() { Ok(found) } else { open(found.heads) }

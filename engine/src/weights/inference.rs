@@ -11,9 +11,8 @@ use crate::{
 const BACKBONE: &str = "backbone.backbone";
 const MAX_NAME: usize = 64;
 
-/// Facts that shapes do not show come from `variant`, the training configuration, or the named
-/// network of this size. All known recipes start global attention and rotary embedding with q/k
-/// norm.
+/// Facts beyond shapes come from `variant`, the training configuration, or the named network of
+/// this size. All known recipes start global attention and rotary embedding with q/k norm.
 pub(super) fn architecture(
     contents: &Contents,
     path: &Path,

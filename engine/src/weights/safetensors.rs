@@ -98,7 +98,6 @@ fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, Str
     Stored::dense(dtype, info.shape.clone(), start + from, start + to)
 }
 
-/// A key of the metadata, with its value.
 type Statement = (&'static str, serde_json::Result<String>);
 
 pub(super) fn save(

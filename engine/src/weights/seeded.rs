@@ -83,7 +83,7 @@ const HALVED: [&str; 3] = [
     "camera_head.pose_branch.fc2.weight",
 ];
 
-/// Largest power of two up to sqrt(3 / fan-in), doubled in most heads, halved in a few layers.
+/// Largest power of two up to sqrt(3 / fan-in), doubled in most `HEADS`, halved in `HALVED`.
 fn matrix_scale(name: &str, shape: &[usize]) -> f32 {
     // Non-overlapping: outputs sum over inputs only.
     let spread = ["resize_layers.0.weight", "resize_layers.1.weight"].iter().any(|layer| name.ends_with(layer));

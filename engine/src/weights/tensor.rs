@@ -18,7 +18,6 @@ pub enum Dtype {
 impl Dtype {
     const ALL: [Self; 4] = [Self::F32, Self::F16, Self::Bf16, Self::Q8];
 
-    /// `f32`, `f16`, `bf16` or `q8`.
     pub fn name(self) -> &'static str {
         match self {
             Self::F32 => "f32",

@@ -9,10 +9,7 @@ pub struct Tensors {
 }
 
 impl Tensors {
-    /// Opens a file with exactly these tensors.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::open`](super::Checkpoint::open).
+    /// Opens a file with exactly these tensors, as [`Checkpoint::open`](super::Checkpoint::open).
     pub fn open(path: &Path, network: &str, parameters: &[(String, Vec<usize>)]) -> Result<Self> {
         let mut file = Vec::new();
         open_file(path)?.read_to_end(&mut file).map_err(|error| Error::io(path, error))?;

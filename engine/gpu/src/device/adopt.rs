@@ -1,5 +1,3 @@
-//! Adoption of an app's Vulkan device.
-
 use super::{
     Shared, SharedParts,
     features::{BYTES, DOT_PRODUCTS, Feature, HALVES, MATRICES, REQUIRED},
@@ -62,7 +60,7 @@ pub struct Adopted {
     pub queue: *mut c_void,
     /// Family of the queue, with compute support.
     pub queue_family: u32,
-    /// Serializes use of the queue; `None` if the engine is its only user.
+    /// Serializes use of the queue; `None`: the engine is its only user.
     pub queue_lock: Option<QueueLock>,
     /// Whether every supported feature of [`fast_requirements`] is enabled.
     pub fast: bool,

@@ -9,11 +9,11 @@ pub struct Limits {
     pub driver: String,
     /// Vulkan version, `major.minor.patch`.
     pub api: String,
-    /// Whether the device is a CPU.
+    /// Whether it is a CPU.
     pub cpu: bool,
-    /// Whether the device is a discrete GPU.
+    /// Whether it is a discrete GPU.
     pub discrete: bool,
-    /// Whether the device is an integrated GPU.
+    /// Whether it is an integrated GPU.
     pub integrated: bool,
     /// Invocations per subgroup.
     pub subgroup_size: u32,
@@ -33,13 +33,13 @@ pub struct Limits {
     pub timestamp_bits: u32,
     /// Maximum invocations per workgroup.
     pub max_invocations: u32,
-    /// Support for 16-bit floats in buffers.
+    /// 16-bit floats in buffers.
     pub half_storage: bool,
-    /// Shapes of cooperative matrices (VK_KHR_cooperative_matrix).
+    /// Cooperative matrices (VK_KHR_cooperative_matrix).
     pub matrices: Matrices,
     /// Dot products of four signed 8-bit integers, together with 16-bit floats.
     pub dot_products: bool,
-    /// Whether these are hardware accelerated.
+    /// Whether hardware accelerates these.
     pub dot_products_accelerated: bool,
     /// Whether kernels may read buffers by address, for drivers that turn uniform loads into vector
     /// loads.
@@ -75,7 +75,7 @@ pub struct Matrices {
 }
 
 impl Matrices {
-    /// Returns the matrix shape for a factor type.
+    /// Returns the shape for a factor type.
     pub fn of(&self, factor: Element) -> Option<MatrixShape> {
         match factor {
             Element::F32 => None,

@@ -6,7 +6,6 @@ use ash::vk;
 use std::sync::atomic::Ordering;
 
 impl Shared {
-    /// Converts a failed call into an error and records device loss.
     pub fn failed(&self, call: &'static str, result: vk::Result) -> Error {
         if result == vk::Result::ERROR_DEVICE_LOST {
             self.lost.store(true, Ordering::Relaxed);

@@ -1,5 +1,3 @@
-//! Devices: discovery, opening, adoption, limits.
-
 mod adopt;
 pub(crate) mod barrier;
 mod bfloat16;
@@ -42,10 +40,10 @@ use std::{
 /// Options of [`Device::open`].
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// Index in [`crate::list_devices`], part of a name, or UUID; `None` picks the best device.
+    /// Index in [`crate::list_devices`], part of a name, or UUID; `None`: the best.
     pub device: Option<String>,
-    /// Enables the Khronos validation layer with synchronization validation: any message fails the
-    /// run. Scratch tensors are filled with NaN.
+    /// Enables the Khronos layer with synchronization validation: any message fails the run. Fills
+    /// scratch tensors with NaN.
     pub validation: bool,
     /// Limit on bytes per binding, to emulate a smaller device.
     pub max_binding_bytes: Option<u64>,
@@ -121,7 +119,7 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`Error::NoDevice`] without a driver or a matching device that meets the requirements.
+    /// [`Error::NoDevice`] without a driver or a matching, usable device.
     pub fn open(options: &DeviceOptions) -> Result<Self> {
         let instance = Instance::new(options.validation)?;
         let devices = devices(&instance)?;

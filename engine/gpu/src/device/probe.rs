@@ -12,7 +12,7 @@ use ash::{khr, vk};
 pub struct DeviceInfo {
     /// Index for `--device`.
     pub index: usize,
-    /// Missing requirements; empty if the device is usable.
+    /// Missing requirements; empty if usable.
     pub unusable_reason: Vec<String>,
     /// Name, driver, limits and features.
     pub limits: Limits,
@@ -190,8 +190,8 @@ struct Offers {
     conversions: bool,
 }
 
-/// Finds the largest matrix shape of each type; of equal ones the squarest, which has the fewest
-/// loads per product.
+/// Finds the largest matrix shape of each type; of equal ones the squarest, with the fewest loads
+/// per product.
 fn find_matrices(
     entry: &ash::Entry,
     instance: &ash::Instance,

@@ -12,8 +12,8 @@ use std::sync::{
 
 const WORKING: &str = "working memory on the device";
 
-/// Scratch memory shared by plans that never run at the same time. Plans of a lane start at offset
-/// 0, so a lane has the size of its largest plan.
+/// Scratch memory shared by plans that never run at the same time. A lane has the size of its
+/// largest plan.
 #[derive(Clone)]
 pub struct Arena(Arc<Lanes>);
 
@@ -46,7 +46,7 @@ impl Arena {
         &self.0.device
     }
 
-    /// Returns true if both arenas share the same memory.
+    /// Returns true if both arenas share their memory.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }

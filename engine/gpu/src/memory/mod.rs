@@ -1,5 +1,3 @@
-//! Device memory.
-
 pub(crate) mod arena;
 mod copy;
 mod element;
@@ -230,7 +228,7 @@ pub struct ResidentLayout {
 }
 
 impl ResidentLayout {
-    /// Creates an empty layout for devices of these limits.
+    /// Creates an empty layout.
     pub fn new(limits: &crate::Limits) -> Self {
         static LAYOUTS: AtomicU64 = AtomicU64::new(0);
         let id = LAYOUTS.fetch_add(1, Ordering::Relaxed);

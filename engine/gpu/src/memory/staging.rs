@@ -1,4 +1,4 @@
-//! Staging buffers of a plan's inputs and outputs, for memory that is not host visible.
+//! Staging buffers of a plan's inputs and outputs, unless memory is host visible.
 
 use super::{Memory, copy::record_copies};
 use crate::{

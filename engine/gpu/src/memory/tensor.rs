@@ -1,7 +1,7 @@
 use super::element::Element;
 use crate::plan::layout::ALIGNMENT;
 
-/// A range of device memory that kernels see as an array; a handle without ownership.
+/// A range of device memory, an array to kernels; a handle without ownership.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tensor {
     pub(crate) home: Home,

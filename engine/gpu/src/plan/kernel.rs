@@ -19,7 +19,7 @@ pub struct Module {
     pub constant_ids: &'static [u32],
     /// Workgroup size.
     pub local_size: LocalSize,
-    /// Optional device features that the kernel needs.
+    /// Needed device features.
     pub needs: Needs,
 }
 

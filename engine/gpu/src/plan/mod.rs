@@ -87,8 +87,8 @@ impl Plan {
         self.blocks.iter().sum()
     }
 
-    /// Fills scratch tensors before their first use with NaN, which is out of range as an index.
-    /// Exposes reads of uninitialized memory, often zero on CPUs.
+    /// Fills scratch tensors before their first use with NaN, an index out of range, to expose
+    /// reads of uninitialized memory, often zero on CPUs.
     pub(crate) fn poison(&mut self) {
         let mut born = vec![Vec::new(); self.commands.len()];
         for (id, (allocation, placement)) in self.allocations.iter().zip(&self.placements).enumerate() {
@@ -108,7 +108,6 @@ impl Plan {
         }
     }
 
-    /// A command's outermost scope.
     pub(crate) fn stage(&self, command: usize) -> &str {
         let scope = &self.scopes[self.commands[command].scope as usize];
         scope.split('/').next().unwrap_or_default()

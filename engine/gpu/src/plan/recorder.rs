@@ -88,7 +88,7 @@ impl Recorder {
         }
     }
 
-    /// Records `body` as scope `name` of profiles. Nested scopes are joined by slashes.
+    /// Records `body` as scope `name` of profiles. Slashes join nested scopes.
     pub fn scope<R>(&mut self, name: &str, body: impl FnOnce(&mut Self) -> R) -> R {
         let outer = self.scope;
         let parent = &self.scopes[outer as usize];

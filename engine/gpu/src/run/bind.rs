@@ -1,5 +1,3 @@
-//! Rebinding of a run to replaced memory.
-
 use super::descriptors::Descriptors;
 use crate::{Error, Resident, Result, Run, plan::Role};
 use std::sync::Arc;

@@ -88,7 +88,6 @@ impl<'a> Encoder<'a> {
         &self.bound.shared.raw
     }
 
-    /// Inserts a barrier if the command conflicts with accesses since the last one.
     fn synchronize(&mut self, command: &Command) {
         let (mut reads, mut writes) = (Vec::new(), Vec::new());
         command.operation.for_each_access(|tensor, read, write| {

@@ -1,5 +1,3 @@
-//! Submissions that overlap with work on the host.
-
 use crate::{Result, Run, memory::staging::StagingBuffers};
 
 impl Run {

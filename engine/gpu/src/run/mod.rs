@@ -177,7 +177,7 @@ impl Run {
     /// Reads an output.
     ///
     /// # Panics
-    /// If the tensor is not an output of this plan, or a started submission was not finished.
+    /// If the tensor is no output of this plan, the run is in flight or another used the lane.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
         assert!(!self.in_flight, "read before finish");
@@ -205,7 +205,7 @@ impl Run {
         self.execute_with(|_| ControlFlow::Continue(()))
     }
 
-    /// As [`Run::execute`]. `progress` is called between submissions and may stop the run.
+    /// As [`Run::execute`]; `progress`, called between submissions, may stop the run.
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.begin()?;
         // Set before a panic in `progress` can unwind.

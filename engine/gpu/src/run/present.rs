@@ -48,8 +48,7 @@ impl Target {
     ///
     /// # Safety
     /// Image and semaphores belong to the run's device and live until the signals. The region is
-    /// inside the image, whose pixel size matches the copied data. The queue's family owns the
-    /// image.
+    /// inside the image, which the queue's family owns, with the pixel size of the copied data.
     pub unsafe fn image(place: ImagePlace, waits: Vec<Point>, signals: Vec<Point>) -> Self {
         Self { place: Place::Image(place), waits, signals }
     }

@@ -19,7 +19,7 @@ pub struct Profile {
 pub struct ProfileRow {
     /// Scope path, such as `backbone/block`.
     pub scope: String,
-    /// Kernel name, or `fill` or `copy`.
+    /// Kernel name, `fill` or `copy`.
     pub kernel: String,
     /// Number of commands.
     pub count: u32,

@@ -6,10 +6,10 @@ use crate::{
 };
 use std::time::Duration;
 
-/// Target time of a submission: hides its overhead, far below the 2 s timeout of watchdogs.
+/// Target time of a submission: hides its overhead, far below watchdogs' 2 s.
 pub(crate) const SUBMISSION: Duration = Duration::from_millis(100);
 
-/// FLOPs in the time of one byte's transfer, roughly on CPUs and GPUs alike.
+/// FLOPs in one byte's transfer time, roughly on CPUs and GPUs alike.
 const FLOPS_PER_BYTE: u64 = 4;
 
 pub(crate) const MAX_PIECES: usize = 1024;

@@ -55,7 +55,6 @@ pub struct Linear {
     pub kernel: LinearKernel,
 }
 
-/// Kernel and weight layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
     /// ops/linear, ops/linear_uniform or ops/linear_tiled. The weight is `[panels, inner,
@@ -121,7 +120,6 @@ impl LinearKernel {
         }
     }
 
-    /// This kernel with 8-bit weights, if supported.
     pub fn with_q8(self) -> Option<Self> {
         match self {
             LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => None,
@@ -152,12 +150,10 @@ impl Linear {
         self.kernel.element()
     }
 
-    /// Values per output row.
     pub fn out_columns(&self, activation: Activation) -> usize {
         if activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Returns rows of type `output`.
     pub fn apply(&self, rec: &mut Recorder, name: &str, input: Rows, output: Element, epilogue: Epilogue) -> Rows {
         let out = Rows::scratch(rec, name, input.count, self.out_columns(epilogue.activation), output);
         self.record(rec, input, out, epilogue);

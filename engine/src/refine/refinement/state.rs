@@ -1,5 +1,3 @@
-//! The state of a refinement in its checkpoint.
-
 use super::{Kept, Refinement};
 use crate::{
     Result,
@@ -60,7 +58,6 @@ impl Saving {
 }
 
 impl Refinement<'_> {
-    /// Saves the state after `done` steps.
     pub fn save(&mut self, saving: &mut Saving, mut done: usize, begin: Instant) -> Result<()> {
         let mut state = State::Save(Vec::new());
         saving.spent = begin.elapsed().as_secs_f64();

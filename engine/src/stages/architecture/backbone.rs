@@ -55,7 +55,6 @@ pub struct BackboneArchitecture {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraArchitecture {
-    /// Parameter name prefix.
     pub root: String,
     pub depth: usize,
     pub heads: usize,

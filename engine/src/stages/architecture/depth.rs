@@ -117,7 +117,7 @@ impl DepthArchitecture {
         self.backbone.width * if self.multi_view() { 2 } else { 1 }
     }
 
-    /// Validates the sizes; [`Error::Argument`] names the invalid field.
+    /// As [`Architecture::validate`](super::Architecture::validate).
     pub fn validate(&self) -> Result<()> {
         let expect = |holds: bool, field: &str, found: String, expected: &str| {
             if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }

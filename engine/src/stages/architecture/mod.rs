@@ -31,7 +31,7 @@ pub(crate) const MAX_SIZE: usize = 1 << 16;
 pub(crate) const MAX_DEPTH: usize = 256;
 const MAX_SH_DEGREE: usize = 3;
 
-/// Hyperparameters. Blocks count from 0.
+/// Hyperparameters. [`BackboneArchitecture`] describes the fields that both have.
 ///
 /// Source: ZipSplat, section 3 and appendix A; Depth Anything 3.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,18 +44,13 @@ pub struct Architecture {
     pub depth: usize,
     pub heads: usize,
     pub ffn: Ffn,
-    /// Hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     #[serde(rename = "patch")]
     pub patch_size: usize,
     pub position_grid: usize,
-    /// First block that may be global, where camera tokens enter.
     pub alt_start: usize,
-    /// First block with q/k norm.
     pub qk_norm_start: usize,
-    /// First block with rotary embedding.
     pub rope_start: usize,
-    /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
     pub camera_depth: usize,
     pub camera_heads: usize,
@@ -105,8 +100,7 @@ impl Architecture {
         }
     }
 
-    /// Returns the paper's decoder on VGGT with `embedding` blocks, then pairs of blocks;
-    /// `out_pairs` give features. Known cameras are no input.
+    /// As [`DepthArchitecture::vggt`], with the paper's decoder. Known cameras are no input.
     pub fn vggt(name: &str, width: usize, [embedding, pairs]: [usize; 2], out_pairs: &[usize]) -> Self {
         let (depth, out_layers) = vggt_blocks([embedding, pairs], out_pairs);
         let like = Self::new(name, width, depth, embedding, &out_layers);
@@ -114,7 +108,6 @@ impl Architecture {
         Self { family: Family::Vggt, camera_depth, camera_heads, camera_hidden, camera_pose_hidden, ..like }
     }
 
-    /// Whether known cameras can be an input.
     pub fn takes_cameras(&self) -> bool {
         self.family.is_da3()
     }
@@ -224,7 +217,6 @@ impl Architecture {
         if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
     }
 
-    /// Parameter names and shapes, as in the reference's `state_dict`.
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
         let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
         Stages::new(&mut declared, self);

@@ -17,7 +17,6 @@ impl DepthBackbone {
         Self { transformer: Transformer::new(p, a), alternates: a.alternates() }
     }
 
-    /// Host inputs besides pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.special.inputs(rec, grid, cameras)
     }

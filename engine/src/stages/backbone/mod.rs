@@ -1,8 +1,7 @@
 //! Backbones: pixels to tokens, by a vision transformer over all views.
 //!
-//! Sources: ZipSplat, section 3.1; Depth Anything 3; DINOv2; VGGT, Wang et al. 2025. A
-//! further backbone is a folder with its `transformer::SpecialTokens`, and a line in
-//! `Transformer::new`.
+//! Sources: ZipSplat, section 3.1; Depth Anything 3; DINOv2; VGGT, Wang et al. 2025. A new backbone
+//! needs `transformer::SpecialTokens` and a line in `Transformer::new`.
 
 mod da3;
 mod depth;

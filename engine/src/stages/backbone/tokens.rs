@@ -18,7 +18,6 @@ impl TokenBackbone {
         Self { transformer: Transformer::new(p, &a.backbone()), features: Features::new(p, a) }
     }
 
-    /// Host inputs besides pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.special.inputs(rec, grid, cameras)
     }

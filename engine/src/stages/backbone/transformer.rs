@@ -14,7 +14,7 @@ pub(super) struct Transformer {
     pub special: Box<dyn SpecialTokens>,
 }
 
-/// The parts in which backbones differ: special tokens ahead of each view's patches, and positions.
+/// Differences of backbones: special tokens ahead of each view's patches, and positions.
 pub(super) trait SpecialTokens: Send + Sync {
     /// Special tokens per view.
     fn leading(&self) -> usize;
@@ -52,8 +52,8 @@ pub(super) trait SpecialTokens: Send + Sync {
     ) -> Result<()>;
 }
 
-/// Places `special` tokens `[kinds, leading, width]` ahead of the patches of each view, and adds
-/// `positions`. The first kind is for the `reference` view, the last for others.
+/// Places `special` tokens `[kinds, leading, width]` ahead of each view's patches and adds
+/// `positions`. The first kind is the `reference` view's, the last the others'.
 pub(super) fn place_tokens(
     rec: &mut Recorder,
     patches: Rows,
@@ -86,7 +86,6 @@ pub(super) fn place_tokens(
 pub(super) struct OutLayer {
     pub local: Rows,
     pub global: Rows,
-    /// Special tokens per view.
     pub leading: usize,
 }
 

@@ -76,7 +76,6 @@ impl Dpt {
         }
     }
 
-    /// Features are shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

@@ -45,7 +45,6 @@ impl GaussianHead {
         }
     }
 
-    /// Features are shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

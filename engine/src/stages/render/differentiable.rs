@@ -12,15 +12,14 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Gradients on the host.
+/// Gradients on the host; empty if not requested.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HostGradients {
-    /// Of stored values, including unnormalized rotations; empty if not requested.
+    /// Of stored values, including unnormalized rotations.
     pub scene: Scene,
-    /// As in [`Gradients::cameras`]; empty if not requested.
+    /// As in [`Gradients::cameras`].
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
-    /// Of projected centers in pixels, `[cameras, Gaussians]`, at constant covariances; empty if
-    /// not requested.
+    /// Of projected centers in pixels, `[cameras, Gaussians]`, at constant covariances.
     pub means2d: Vec<[f32; 2]>,
 }
 

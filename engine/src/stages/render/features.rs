@@ -1,4 +1,4 @@
-//! Values of any number of channels: lifted from pixels to Gaussians or tokens, and drawn.
+//! Values of any number of channels, lifted to Gaussians or tokens and drawn.
 
 use super::{FrameShape, RenderOptions, SceneTensors, backward::slot_starts, intersect, project};
 use crate::{
@@ -22,9 +22,9 @@ pub(crate) struct FeatureRows {
     pub group: usize,
 }
 
-/// Records the lifting of one camera's values, `[cells y, cells x, vectors, 4]`. Accumulates
-/// sums of weighted values, `[rows, vectors, 4]`, and of weights, `[rows]`. Returns the status of
-/// [`RenderOutputs`](super::RenderOutputs); exceeded capacity accumulates nothing.
+/// Records the lifting of one camera's values, `[cells y, cells x, vectors, 4]`. Accumulates sums
+/// of weighted values, `[rows, vectors, 4]`, and of weights, `[rows]`. Returns
+/// [`RenderOutputs::status`](super::RenderOutputs::status); exceeded capacity accumulates nothing.
 #[expect(clippy::too_many_arguments)]
 pub(crate) fn record_lift(
     rec: &mut Recorder,

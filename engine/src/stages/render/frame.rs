@@ -58,7 +58,6 @@ impl RenderOptions {
         self.antialiased.unwrap_or(false)
     }
 
-    /// Fills in a scene's defaults.
     pub(super) fn with_defaults(self, near: f32, antialiased: bool) -> Self {
         Self { near: self.near.or(Some(near)), antialiased: self.antialiased.or(Some(antialiased)), ..self }
     }

@@ -10,7 +10,7 @@ pub(crate) struct PlanKey<K> {
     pub options: K,
 }
 
-/// Cache of recently used plans, with more capacity after their intersections overflow.
+/// Cache of recently used plans, with more capacity after an overflow.
 pub(crate) struct PlanCache<K, P> {
     /// Least recently used first.
     entries: Vec<Entry<K, P>>,
@@ -42,7 +42,7 @@ impl<K: PartialEq, P> PlanCache<K, P> {
         self.entries.iter_mut().map(|entry| &mut entry.plan)
     }
 
-    /// Returns the plan of `key`, which `record` records with a capacity if it is missing.
+    /// Returns the plan of `key`; `record` records a missing one.
     pub fn get(&mut self, key: PlanKey<K>, record: impl FnOnce(usize) -> Result<P>) -> Result<&mut P> {
         let entry = match self.entries.iter().position(|entry| entry.key == key) {
             Some(index) => self.entries.remove(index),
@@ -59,10 +59,7 @@ impl<K: PartialEq, P> PlanCache<K, P> {
     }
 
     /// Returns the last used plan if `needed` intersections fit. Otherwise drops it, and the next
-    /// one is larger.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] if no plan can be large enough.
+    /// one is larger; [`Error::Memory`] if none can be.
     pub fn fitting(&mut self, needed: usize) -> Result<Option<&mut P>> {
         if let Some(Entry { key, .. }) = self.entries.pop_if(|entry| needed > entry.capacity) {
             let (needed_bytes, available) = (needed as u64 * intersection_bytes(key.backward), self.max_binding_bytes);

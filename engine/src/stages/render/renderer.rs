@@ -17,7 +17,6 @@ pub struct Renderer {
     scene: Option<DeviceScene>,
     uploaded: Option<SceneMemory>,
     pub(super) plans: PlanCache<(RenderOptions, usize), RenderPlan>,
-    /// Of the last rendering.
     intersections: usize,
     cameras_at_once: usize,
     pub(super) batch_size: usize,
@@ -69,8 +68,8 @@ impl Renderer {
         self.render(cameras, options)
     }
 
-    /// Sets the scene to render: uploads a [`Scene`]; uses a [`DeviceScene`], or a reconstruction
-    /// in its first camera's frame, where it is.
+    /// Sets the scene: uploads a [`Scene`]; uses a [`DeviceScene`], or a reconstruction in its
+    /// first camera's frame, in place.
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid scene or another device's; [`Error::DeviceLost`].

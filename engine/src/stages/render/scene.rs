@@ -15,7 +15,7 @@ pub struct DeviceScene(Arc<Gaussians>);
 #[derive(Clone, Copy, Debug)]
 pub enum SceneSource<'a> {
     Host(&'a Scene),
-    /// With the pose of its frame in the scene's world, if that is not the world itself.
+    /// With the pose of its frame in the scene's world, if they differ.
     Device(&'a DeviceScene, Option<Pose>),
 }
 
@@ -31,12 +31,10 @@ impl<'a> From<&'a DeviceScene> for SceneSource<'a> {
     }
 }
 
-/// A weak [`DeviceScene`].
 #[derive(Clone)]
 pub struct WeakScene(Weak<Gaussians>);
 
 impl WeakScene {
-    /// The scene, if it still exists.
     pub fn upgrade(&self) -> Option<DeviceScene> {
         self.0.upgrade().map(DeviceScene)
     }
@@ -86,7 +84,7 @@ impl SceneMemory {
         &self.memory
     }
 
-    /// Makes the Gaussians invisible of all but these of `count` tokens, if given.
+    /// Makes the Gaussians of all but these of `count` tokens invisible, if given.
     pub fn show_tokens(&self, tokens: Option<&[usize]>, count: usize) -> Result<()> {
         let Some(tokens) = tokens else { return Ok(()) };
         let all: Vec<f32> = self.memory.read(self.tensors.opacities)?;
@@ -97,10 +95,7 @@ impl SceneMemory {
         self.memory.write(self.tensors.opacities, &opacities)
     }
 
-    /// Returns the written scene.
-    ///
-    /// # Panics
-    /// If the previous scene exists.
+    /// Returns the written scene. Panics if the previous one exists.
     pub fn scene(&mut self, stored_degree: u32, near: f32, antialiased: bool) -> DeviceScene {
         assert!(self.is_free(), "a scene in use was overwritten");
         let (memory, arena) = (self.memory.clone(), self.arena.clone());
@@ -165,7 +160,6 @@ impl DeviceScene {
         self.0.arena.as_ref()
     }
 
-    /// Returns options with the scene's defaults.
     pub fn fill_in(&self, options: &RenderOptions) -> RenderOptions {
         options.with_defaults(self.0.near, self.0.antialiased)
     }

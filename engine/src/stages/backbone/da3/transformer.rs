@@ -166,7 +166,7 @@ const OFFSET: f64 = 0.1;
 
 /// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
 ///
-/// Bicubic with repeated edges; the class token and the original grid are unchanged.
+/// Bicubic with repeated edges.
 pub fn interpolate_positions(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
     interpolate(learned, [side, width], [rows, columns], taps)
 }

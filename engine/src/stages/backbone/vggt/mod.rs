@@ -1,5 +1,4 @@
-//! VGGT: DINOv2 with registers, then pairs of blocks within and across views, with a camera token
-//! and four registers per view.
+//! VGGT: DINOv2 with registers, then pairs of blocks within and across views.
 
 use super::{
     positions::{Taps, interpolate, rotary_table},
@@ -24,7 +23,7 @@ struct Registers {
     architecture: BackboneArchitecture,
     /// Class token and registers of DINOv2.
     embedding: [HostParameter; 2],
-    /// Camera tokens and registers, of the reference view and of others.
+    /// Camera tokens and registers of the reference view and others.
     joint: [HostParameter; 2],
     learned_positions: HostParameter,
     patch_embed: Linear,
@@ -152,8 +151,7 @@ const A: f64 = -0.5;
 
 /// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
 ///
-/// Bicubic with antialiasing and normalized weights; the class token and the original grid are
-/// unchanged.
+/// Bicubic with antialiasing and normalized weights.
 pub fn interpolate_antialiased(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
     interpolate(learned, [side, width], [rows, columns], taps)
 }
