@@ -26,7 +26,7 @@ done
 if [[ -z $libs ]]; then
   PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
   echo "zipsplat: building the C library, which takes some minutes the first time" >&2
-  # Together with the command: one set of features, so neither build invalidates the other.
+  # One set of features with the command, so neither build invalidates the other.
   cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-c -p zipsplat-cli
   libs=${CARGO_TARGET_DIR:-$root/target}/release
 fi
@@ -48,7 +48,6 @@ install -m 644 "$libs/libzipsplat_c.a" "$prefix/$lib/libzipsplat.a"
 # Relative path from the library folder to PREFIX.
 up=$(printf '%s\n' "$lib" | sed 's:/*$::; s:[^/][^/]*:..:g')
 
-# pc NAME DESCRIPTION LIBS: writes a pkg-config file.
 pc() {
   cat > "$prefix/$lib/pkgconfig/$1.pc" << END
 prefix=\${pcfiledir}/../$up
@@ -83,7 +82,6 @@ if(NOT TARGET zipsplat::zipsplat)
     INTERFACE_INCLUDE_DIRECTORIES "\${_zipsplat}/include")
 endif()
 END
-# Satisfies programs that request this version or an earlier one of the same ABI.
 cat > "$prefix/$lib/cmake/zipsplat/zipsplat-config-version.cmake" << END
 set(PACKAGE_VERSION "$version")
 if(NOT PACKAGE_FIND_VERSION VERSION_GREATER PACKAGE_VERSION AND PACKAGE_FIND_VERSION_MAJOR EQUAL $(number VERSION_MAJOR))

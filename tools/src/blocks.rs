@@ -9,7 +9,7 @@ use zipsplat::{
     types::{Camera, Pose},
 };
 
-/// Relative error of a seam that needs a warning.
+/// Of a seam that needs a warning.
 const APART: f64 = 0.25;
 
 #[derive(Args, Clone, Copy, Debug)]
@@ -30,12 +30,12 @@ impl BlockArgs {
         BlockOptions { size: self.block_size, overlap: self.block_overlap }
     }
 
-    /// Checks the blocks of `views` views as far as they do not depend on the device.
+    /// As far as they do not depend on the device.
     pub fn check(self, views: usize, shape: impl Fn(usize) -> Result<Shape>) -> Result<()> {
         BlockLayout::checked(views, self.block_size.unwrap_or(MAX_VIEWS), self.block_overlap, shape).map(drop)
     }
 
-    /// Chooses the blocks of views as [`BlockLayout::blocks`]. Also sets the blocks of `request`.
+    /// As [`BlockLayout::blocks`]. Also sets the blocks of `request`.
     pub fn choose(
         self,
         model: &Model,
@@ -50,7 +50,7 @@ impl BlockArgs {
     }
 }
 
-/// Rejects the refinement of tokens, which are of one pass.
+/// Tokens are of one pass.
 pub fn refuse_tokens(blocks: usize) -> Result<()> {
     let found = format!("{blocks} blocks of views");
     if blocks > 1 { Err(Error::argument("--refine-target tokens", found, "views that fit in one")) } else { Ok(()) }
@@ -75,7 +75,7 @@ pub fn summary(blocks: &[Block], seams: &[Seam]) -> Option<String> {
     Some(format!("{} blocks of {size}; neighbors share {fewest} patches or more{error}", blocks.len()))
 }
 
-/// A warning about a seam whose sides differ.
+/// For a seam whose sides differ.
 pub fn doubt(seams: &[Seam]) -> Option<String> {
     let (seam, error) = worst(seams).filter(|(_, error)| *error > APART)?;
     Some(format!(

@@ -56,14 +56,14 @@ class ViewCamera {
         this.eye = add(target, this.axes[2], -this.distance);
     }
 
-    // Fits an input camera into a picture of this size.
+    // Fits an input camera into a picture.
     through({ matrix, width, height, fy }, pictureWidth, pictureHeight, distance) {
         const focal = fy * Math.min(pictureWidth / width, pictureHeight / height);
         this.fov = Math.atan(Math.min(pictureWidth, pictureHeight) / 2 / focal) * 360 / Math.PI;
         this.place(matrix.map(row => row[3]), [0, 1, 2].map(i => matrix.slice(0, 3).map(row => row[i])), distance);
     }
 
-    // Key of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of view.
+    // Of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of view.
     asKey(width, height) {
         const [right, down, forward] = this.axes;
         const rows = [0, 1, 2].map(i => [right[i], -down[i], -forward[i], this.eye[i]]);

@@ -85,7 +85,7 @@ async function load({ load: id, bytes, name, view, whole, features }) {
     postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
-// Makes a k-d tree: the middle of a range splits it along an axis.
+// k-d tree: the middle of a range splits it along an axis.
 function split(means, tree, from, to, axis) {
     if (to - from < 2) return;
     const middle = from + to >> 1, next = (axis + 1) % 3, at = k => means[3 * tree[k] + axis];

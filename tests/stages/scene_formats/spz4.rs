@@ -4,7 +4,7 @@ use super::{assert_damaged, assert_spz, round_trip, scene};
 use zipsplat::types::{SaveOptions, SceneFormat};
 use zipsplat_tests::prelude::*;
 
-/// zstd (RFC 8878): one segment, a 4-byte content size, raw blocks, and a run of equal last bytes.
+/// zstd (RFC 8878): one segment, raw blocks, and a run of equal last bytes.
 fn frame(content: &[u8]) -> Vec<u8> {
     let mut out = [&0xfd2f_b528u32.to_le_bytes()[..], &[0xa0], &(content.len() as u32).to_le_bytes()].concat();
     let run = content.iter().rev().take_while(|byte| Some(*byte) == content.last()).count();

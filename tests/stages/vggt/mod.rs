@@ -39,7 +39,7 @@ fn joined<T: Copy>([frame, global]: [&[T]; 2], width: usize) -> Vec<T> {
     frame.chunks(width).zip(global.chunks(width)).flat_map(|(a, b)| a.iter().chain(b)).copied().collect()
 }
 
-/// Point and confidence by the values of the point head.
+/// From values of the point head.
 fn world_point(values: &[f64]) -> ([f64; 3], f64) {
     ([0, 1, 2].map(|i| values[i].abs().exp_m1().copysign(values[i])), 1.0 + values[3].exp())
 }
@@ -87,7 +87,7 @@ fn check_reference(golden: &Golden) {
     assert!(compared >= 9, "{}: {compared}", golden.file());
 }
 
-/// Token taps: names of the device, and their tokens' parts.
+/// Also maps names of the device.
 fn check_tokens(golden: &Golden, a: &DepthArchitecture, observed: &Observed) -> usize {
     let tap = |name: String| observed.taps(&name).swap_remove(0);
     let block = |pair: usize, step: usize| tap(format!("bb/block{}", a.backbone.alt_start + 2 * pair + step));
@@ -112,7 +112,7 @@ fn check_tokens(golden: &Golden, a: &DepthArchitecture, observed: &Observed) -> 
     compared
 }
 
-/// Taps of heads: encodings, and maps of the last views.
+/// Encodings, and maps of the last views.
 fn check_heads(golden: &Golden, observed: &Observed) -> usize {
     let rectified = |(i, x): (usize, f32)| if i % 9 > 6 { x.max(0.0) } else { x };
     let mut compared = 0;
@@ -207,7 +207,7 @@ fn positions_and_encodings() {
     assert_close("intrinsics", &lenses.collect::<Vec<_>>(), &golden.f64("pose/intrinsics"), within);
 }
 
-/// Pixels and sums of photos of one size; neither transparency nor padding.
+/// Of one size; neither transparency nor padding.
 #[test]
 fn photos_of_vggt_are_pillows() {
     let Some(golden) = Golden::open("vggt_pre.safetensors") else { return };

@@ -1,4 +1,4 @@
-//! COLMAP as a program: commands of its steps, and progress from its output.
+//! COLMAP's commands, and progress from its output.
 
 use crate::{masks::MaskArgs, process, session::Stage};
 use clap::{Args, ValueEnum};
@@ -59,7 +59,7 @@ pub enum Step {
     Cameras(Mapping),
 }
 
-/// Mapper settings of one attempt. COLMAP samples at random, and its defaults suit many overlapping
+/// Mapper settings of an attempt. COLMAP samples at random, and its defaults suit many overlapping
 /// photos.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
@@ -255,7 +255,7 @@ fn install() -> &'static str {
 }
 
 impl ColmapOutput {
-    /// Parses a line; returns the step's finished fraction if it has one.
+    /// Returns the step's finished fraction if the line has one.
     pub fn hear(&mut self, line: &str, photos: usize) -> Option<f64> {
         // Strips glog's prefix.
         let text =
@@ -289,7 +289,7 @@ impl ColmapOutput {
     }
 }
 
-/// Parses the first number unless another word precedes it.
+/// Parses a leading number.
 fn number(text: &str) -> Option<usize> {
     let text = text.trim_start();
     text[..text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())].parse().ok()

@@ -29,9 +29,8 @@ use zipsplat::{
     },
 };
 
-/// Requests estimation, unless a folder of this name holds a model.
+/// Unless a folder of this name holds a model.
 pub const COLMAP: &str = "colmap";
-/// Earlier spelling of [`COLMAP`].
 const FIND: &str = "find";
 const DA3: &str = "da3";
 const VGGT: &str = "vggt";
@@ -44,7 +43,7 @@ const FEW_PHOTOS: usize = 12;
 const ENOUGH: f64 = 0.8;
 /// Features below which a photo has too little texture.
 const FEW: usize = 300;
-/// Plausible focal lengths over the longer side: fields of view of 110 to 11 degrees.
+/// Focal lengths over the longer side: fields of view of 110 to 11 degrees.
 const LIKELY: RangeInclusive<f64> = 0.35..=5.0;
 
 #[derive(Args, Clone, Default)]
@@ -73,7 +72,6 @@ pub struct KnownCameras {
     pub found: Option<EstimatedCameras>,
 }
 
-/// Owns the temporary points file.
 pub struct EstimatedCameras {
     pub predicted: Option<Box<PredictedViews>>,
     pub lost: Vec<PathBuf>,
@@ -141,7 +139,7 @@ impl Finder {
 }
 
 impl KnownCameras {
-    /// Reads a camera file, or estimates cameras for a [`Finder`]'s word, with a note.
+    /// Reads a camera file, or estimates cameras for a [`Finder`]'s word.
     pub fn of(session: &mut Session<'_>, poses: &Path, photos: &[PathBuf], finding: &Finding) -> Result<Self> {
         let Some(finder) = Finder::named(poses) else { return Ok(Self { poses: Capture::open(poses)?, found: None }) };
         let (poses, found) = finder.find(session, photos, finding)?;
@@ -261,7 +259,7 @@ impl<'a> Search<'a> {
             attempts += 1;
             match self.run(session, Step::Cameras(mapping), &models)? {
                 Some(status) if best.is_empty() => return Err(self.failure(Step::Cameras(mapping), status)),
-                // Cameras exist; the log has the reason for the end.
+                // The log has the reason.
                 Some(_) => break,
                 None => {}
             }

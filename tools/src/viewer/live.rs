@@ -1,4 +1,4 @@
-//! Scenes of any compression ratio on demand, from the photos' features on the device.
+//! Scenes of any ratio on demand, from features on the device.
 
 use super::page::{Ratios, ShownScene};
 use crate::options::Quality;
@@ -66,8 +66,8 @@ impl LiveScene {
 }
 
 impl Live<'_> {
-    /// Stops if a higher `number` overtakes it: requests may arrive out of order. The default is
-    /// the next number.
+    /// Stops if a higher `number` overtakes it, by default the next one: requests may arrive out of
+    /// order.
     pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<LiveScene> {
         let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst).saturating_add(1));
         self.latest.fetch_max(own, Ordering::SeqCst);
@@ -77,7 +77,7 @@ impl Live<'_> {
         made
     }
 
-    /// Acts as [`Live::make`], unless `overtaken`.
+    /// As [`Live::make`], unless `overtaken`.
     pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<LiveScene> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };

@@ -103,7 +103,7 @@ impl FromPhotos {
         Ok(Photographed { photos, known, folder })
     }
 
-    /// First given option, for rejection with scene files.
+    /// For rejection with scene files.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
             ("--weights", !self.weights.is_builtin()),
@@ -126,7 +126,7 @@ impl FromPhotos {
         self.refine.steps().is_some()
     }
 
-    /// Runs the network up to its features.
+    /// Up to the network's features.
     pub fn prepare<'a, 's: 'a>(
         &'a self,
         session: &mut Session<'s>,

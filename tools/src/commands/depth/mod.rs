@@ -69,8 +69,8 @@ pub struct Depth {
     /// single-view networks is aligned to the cameras' points
     #[arg(long, requires = "cameras")]
     metric: bool,
-    /// Also run VGGT's point head, whose world points and confidence depths.safetensors and
-    /// points.ply then have
+    /// Also run VGGT's point head: world points and confidence for depths.safetensors and
+    /// points.ply
     #[arg(long)]
     point_head: bool,
     /// Photo whose camera is the world, counted from 0 [default: the network's choice]
