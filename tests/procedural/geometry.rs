@@ -2,9 +2,9 @@ use crate::{capture, options, rays, setup};
 use zipsplat_cli::procedural::{Capture, Photos, Setup};
 use zipsplat_tests::prelude::*;
 
-/// Away from silhouettes. Sphere tracing stops at 1e-4 of a tube's radius before its refinement.
+/// Away from silhouettes: sphere tracing stops at 1e-4 of a tube's radius.
 const RELATIVE: f64 = 5e-4;
-/// Pixels within which rounding may select the other surface.
+/// In pixels: rounding may select the other surface.
 const BESIDE: f64 = 0.02;
 
 fn ray(i: &Intrinsics, x: u32, y: u32, shift: (f64, f64)) -> DVec3 {
@@ -56,7 +56,7 @@ fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
     inside.then_some((x as u32, y as u32, p.z))
 }
 
-/// Visible surfaces by the other view's depth.
+/// By the other view's depth.
 struct Reprojection {
     surfaces: usize,
     seen: usize,

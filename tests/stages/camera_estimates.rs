@@ -45,7 +45,7 @@ fn cameras() -> Vec<Camera> {
     .to_vec()
 }
 
-/// One Gaussian per token at its patch's center, one unseen.
+/// One per token at its patch's center, one unseen.
 fn decoded(place: Place, patches: &Patches) -> Scene {
     let cameras = cameras();
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
@@ -64,7 +64,7 @@ fn decoded(place: Place, patches: &Patches) -> Scene {
     scene
 }
 
-/// Medians in degrees and distance.
+/// In degrees and distance.
 fn errors(found: &[CameraEstimate]) -> [f64; 2] {
     let of = |(found, truth): (&CameraEstimate, &Camera)| {
         let turn = DQuat::from_mat3(&(found.camera.pose.rotation.transpose() * truth.pose.rotation)).to_scaled_axis();

@@ -1,4 +1,4 @@
-//! Camera model from linear light to sRGB bytes.
+//! From linear light to sRGB bytes.
 
 use glam::Vec3A;
 use zipsplat::random::mix;
@@ -8,7 +8,7 @@ use super::rng::Rng;
 /// Linear light where highlights roll off.
 const SHOULDER: f32 = 0.65;
 
-/// Equal for all views of a scene.
+/// Of all views of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Development {
     /// Exposure times white balance.
