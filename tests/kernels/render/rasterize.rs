@@ -26,13 +26,13 @@ fn splats() -> Vec<Splat> {
     (0..150).map(splat).collect()
 }
 
-/// Color, alpha and depth; normal and token color if `all`.
+/// Also normal and token color if `all`.
 fn draw<const CHANNELS: usize>(splats: &[Splat], runs: u32, batched: bool, all: bool) -> Vec<[f32; CHANNELS]> {
     let grid = SIZE.map(|pixels| pixels.div_ceil(TILE as usize));
     let tiles = grid[0] * grid[1];
     let every: Vec<u32> = (0..tiles).flat_map(|_| 0..splats.len() as u32).collect();
     let each = |f: fn(&Splat) -> [f64; 3]| -> Vec<[f32; 3]> { splats.iter().map(|s| f(s).map(|v| v as f32)).collect() };
-    // The kernel's conic: see kernels/render/project.comp.
+    // See kernels/render/project.comp.
     let completed = |s: &Splat| {
         let [a, b, c] = s.conic;
         [a, -b / a, c - b * b / a]

@@ -1,4 +1,4 @@
-//! ZipSplat's decoder on VGGT, which has no released weights: against the f64 reference.
+//! ZipSplat's decoder on VGGT has no released weights: against the f64 reference.
 
 use crate::depth_reference::pictures;
 use zipsplat::{

@@ -8,7 +8,7 @@ use zipsplat::{
     types::{Camera, Pose, median},
 };
 
-/// Medians of the moved cameras: rotation in degrees, and shift.
+/// Of moved cameras: rotation in degrees, and shift.
 fn camera_movement(given: &[Camera], refined: &RefineResult) -> Option<[f64; 2]> {
     let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
     let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
@@ -138,7 +138,7 @@ fn ended(refined: &RefineResult) -> String {
     }
 }
 
-/// Photos below which a refinement without held-out ones overfits.
+/// Photos below which refinement overfits.
 const FEW: usize = 6;
 
 pub(super) fn doubt(refined: &RefineResult) -> Option<String> {

@@ -31,7 +31,7 @@ pub struct Planned<'a> {
 }
 
 pub struct Forward {
-    /// Arena to reuse in the next pass.
+    /// For the next pass.
     pub arena: Option<Arena>,
     pub tokens: Option<SceneTokens>,
     pub scene: Scene,
