@@ -45,7 +45,7 @@ install -m 644 "$header" "$prefix/include/zipsplat.h"
 install -m 755 "$libs/${link/zipsplat/zipsplat_c}" "$prefix/$lib/$shared"
 ln -sf "$shared" "$prefix/$lib/$link"
 install -m 644 "$libs/libzipsplat_c.a" "$prefix/$lib/libzipsplat.a"
-# Relative path from the library folder to PREFIX.
+# From the library folder to PREFIX.
 up=$(printf '%s\n' "$lib" | sed 's:/*$::; s:[^/][^/]*:..:g')
 
 pc() {

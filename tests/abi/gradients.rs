@@ -133,7 +133,7 @@ fn are_rusts_bits() {
     }
 }
 
-/// Of the largest element of each kind. Only slopes include the motion of the edge at alpha 1/255.
+/// Of the largest element by kind. Only slopes include the motion of the edge at alpha 1/255.
 #[test]
 fn are_slopes_of_pictures() {
     let options = options(zs_depth_mode::ZS_DEPTH_MODE_ACCUMULATED);

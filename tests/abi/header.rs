@@ -71,7 +71,7 @@ fn is_of_enumeration(declaration: &str) -> bool {
     declaration.starts_with("typedef int32_t") || declaration.starts_with("typedef enum")
 }
 
-/// By the header's macro.
+/// Writes an enumeration by the header's macro.
 fn enumeration(declaration: String) -> String {
     match declaration.strip_prefix("enum ").and_then(|rest| rest.split_once("\n  : int32_t\n {")) {
         Some((name, body)) => format!("ZS_ENUM({name}) {{{body}"),
@@ -79,7 +79,7 @@ fn enumeration(declaration: String) -> String {
     }
 }
 
-/// Without comments and conditions.
+/// Splits C into declarations, without comments and conditions.
 fn declarations(text: &str) -> Vec<String> {
     let is_code = |line: &&str| !is_comment(line) && (!line.starts_with('#') || line.starts_with("#define"));
     let mut found = vec![String::new()];

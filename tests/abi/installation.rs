@@ -13,7 +13,7 @@ pub struct Installation {
 pub enum Linking {
     Shared,
     Static,
-    /// With AddressSanitizer and its leak check at exit.
+    /// Shared, with AddressSanitizer and its leak check at exit.
     Sanitized,
 }
 

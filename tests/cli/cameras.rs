@@ -7,7 +7,7 @@ use zipsplat::types::{Camera, Scene, poses::CaptureView, quaternion_from_matrix,
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
 
-/// Of COLMAP 3's help.
+/// Version-dependent options of COLMAP 3's help.
 pub const OPTIONS_3: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
     "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",

@@ -53,7 +53,7 @@ fn a_scene_is_judged_alike_in_every_layout() {
     let axes = cameras[0].pose.rotation.transpose();
     let turned = Pose { rotation: axes * world().rotation, translation: axes * world().translation };
     save(&folder, "turned.ply", &scene, LENGTH, &turned);
-    // As of MVSplat for viewers.
+    // Any similarity, as of MVSplat for viewers.
     let away = Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(-1.0, 0.5, 0.25) };
     save(&folder, "away.ply", &scene, 0.2, &away);
     let frames = folder.capture("place").frames;

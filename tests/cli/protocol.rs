@@ -8,11 +8,11 @@ use zipsplat_tests::golden::lpips_weights;
 
 /// As in images_4.
 const SMALLER: u32 = 4;
-/// Of the tangent: close to a pinhole.
+/// Of the tangent: a fisheye lens close to a pinhole.
 const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 const OPTIONS: &str = "--weights @/micro.safetensors --input-size 28x28 --lpips none";
 
-/// 12 photos of 84x56 in `@/place`.
+/// 12 photos of 84x56.
 fn place(folder: &Folder, seed: u32) -> Vec<CaptureView> {
     folder.run(&format!("scene --seed {seed} --views 12 --size 84x56 -o @/place")).success();
     folder.capture("place").frames

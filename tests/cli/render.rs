@@ -211,7 +211,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     }
     assert_eq!(folder.run("reconstruct @/place/images --world input-cameras -o @/x.ply").code, 2);
 
-    // By name alone: aligned, and said so.
+    // Another reconstruction's world, by name alone: aligned, and said so.
     write_transforms(folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
         .expect("cameras");
     for scene in ["first", "own"] {

@@ -1,4 +1,4 @@
-//! By fake ffmpeg programs or an installed one.
+//! Videos, by fake ffmpeg programs or an installed one.
 #![cfg(unix)]
 
 use crate::{

@@ -237,7 +237,7 @@ impl Drop for Ended<'_> {
     }
 }
 
-/// With port and page path, then stops the server.
+/// Calls `test` with port and page path, then stops the server.
 pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
     let (cancelled, (send, printed)) = (AtomicBool::new(false), channel());
     std::thread::scope(|scope| {

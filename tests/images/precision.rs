@@ -1,4 +1,4 @@
-//! Of networks in faster arithmetics, against f32.
+//! Pictures of networks in faster arithmetics, against f32.
 
 use zipsplat_tests::networks::{images, model};
 use zipsplat_tests::prelude::*;

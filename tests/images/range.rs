@@ -5,7 +5,7 @@ use glam::DVec2;
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::render::rasterize;
 
-/// With brute force in f64.
+/// Compares color and alpha with brute force in f64.
 #[track_caller]
 fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance: ImageTolerance) {
     let frame = render(scene, &[*camera], &RenderOptions { antialiased: Some(antialiased), ..ALL }).remove(0);

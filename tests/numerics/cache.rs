@@ -41,7 +41,7 @@ fn folder() -> Option<TempDir> {
     device().limits().half_storage.then(|| tempfile::tempdir().unwrap())
 }
 
-/// Of a good result.
+/// Folder, file and contents of a good result.
 fn cache() -> Option<(TempDir, PathBuf, Vec<u8>)> {
     let folder = folder()?;
     assert_succeeds(process(folder.path(), "passed"));
@@ -83,7 +83,7 @@ fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
         all.deviations.keys().all(|kernel| !kernel.contains("bf16") && !kernel.contains("i8")),
         "only what is used"
     );
-    // Device loss in a group's first kernel on matrix units: `fast` does without.
+    // Device loss in a group's first kernel on matrix units: fp16 does without.
     let mut begun = all.clone();
     begun.deviations.retain(|kernel, _| kernel == "ops/linear_f16_f32");
     begun.deviations.insert("ops/linear_matrix_f16_f32".into(), None);

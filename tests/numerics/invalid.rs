@@ -3,7 +3,7 @@ use zipsplat_tests::prelude::*;
 
 const COUNT: usize = 50;
 const BAD: [usize; 3] = [3, 4, 40];
-/// With floats; their axes keep z.
+/// Formats with floats; their axes keep z.
 const NAMES: [&str; 4] = ["scene.ply", "ascii.ply", "scene.splat", "scene.glb"];
 
 /// Sets centers at [`BAD`] to z `value`; returns the scene without them.

@@ -67,7 +67,7 @@ fn a_picture_needs_no_more_memory_after_others() {
     }
 }
 
-/// From the shortage in errors.
+/// Adds the shortage in its errors.
 fn least_memory(line: &str, output: &Path) -> u64 {
     let mut memory = 0;
     for _ in 0..8 {

@@ -103,7 +103,7 @@ fn duplicated_views_give_the_same_gaussians() {
         let images = views(3);
         let doubled = [0, 1, 2, 1].map(|i| images[i].clone());
         let scene = mode.reconstruct(&doubled, &ReconstructOptions::default());
-        // Views 1 and 3 are equal: every sum has the same terms in the same order.
+        // Equal views: sums have the same terms in the same order.
         let (first, second) = (fields(&scene, 4, &[1]), fields(&scene, 4, &[3]));
         for ((field, first), (_, second)) in first.iter().zip(second) {
             assert_same(field, &bits(&second), &bits(first));

@@ -56,7 +56,7 @@ fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
     inside.then_some((x as u32, y as u32, p.z))
 }
 
-/// By the other view's depth.
+/// Visible surfaces by the other view's depth.
 struct Reprojection {
     surfaces: usize,
     seen: usize,

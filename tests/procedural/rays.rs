@@ -1,9 +1,9 @@
-//! In f64, by other algorithms: single faces, quadratics, bisection, all triangles.
+//! Hits in f64, by other algorithms: single faces, quadratics, bisection, all triangles.
 
 use zipsplat_cli::procedural::{HeightField, Primitive, Shape};
 use zipsplat_tests::prelude::*;
 
-/// For a torus.
+/// For a torus's roots.
 const STEPS: usize = 4000;
 
 pub fn nearest(primitives: &[Primitive], origin: DVec3, direction: DVec3) -> Option<f64> {

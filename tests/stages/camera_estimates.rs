@@ -64,7 +64,7 @@ fn decoded(place: Place, patches: &Patches) -> Scene {
     scene
 }
 
-/// In degrees and distance.
+/// Medians in degrees and distance.
 fn errors(found: &[CameraEstimate]) -> [f64; 2] {
     let of = |(found, truth): (&CameraEstimate, &Camera)| {
         let turn = DQuat::from_mat3(&(found.camera.pose.rotation.transpose() * truth.pose.rotation)).to_scaled_axis();

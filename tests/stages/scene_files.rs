@@ -112,7 +112,7 @@ fn scenes_survive_a_file() {
     }
 }
 
-/// In another order.
+/// Properties (type, name) in another order.
 fn rewritten(
     scene: &Scene,
     format: &str,

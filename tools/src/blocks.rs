@@ -9,7 +9,7 @@ use zipsplat::{
     types::{Camera, Pose},
 };
 
-/// Of a seam that needs a warning.
+/// Relative error of a seam that needs a warning.
 const APART: f64 = 0.25;
 
 #[derive(Args, Clone, Copy, Debug)]
@@ -30,7 +30,7 @@ impl BlockArgs {
         BlockOptions { size: self.block_size, overlap: self.block_overlap }
     }
 
-    /// As far as they do not depend on the device.
+    /// Checks the blocks of `views` views as far as they do not depend on the device.
     pub fn check(self, views: usize, shape: impl Fn(usize) -> Result<Shape>) -> Result<()> {
         BlockLayout::checked(views, self.block_size.unwrap_or(MAX_VIEWS), self.block_overlap, shape).map(drop)
     }
@@ -75,7 +75,7 @@ pub fn summary(blocks: &[Block], seams: &[Seam]) -> Option<String> {
     Some(format!("{} blocks of {size}; neighbors share {fewest} patches or more{error}", blocks.len()))
 }
 
-/// For a seam whose sides differ.
+/// A warning about a seam whose sides differ.
 pub fn doubt(seams: &[Seam]) -> Option<String> {
     let (seam, error) = worst(seams).filter(|(_, error)| *error > APART)?;
     Some(format!(

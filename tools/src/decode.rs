@@ -14,7 +14,7 @@ use zipsplat::{
     types::{Image, write_atomic},
 };
 
-/// For [`read_ppm`].
+/// Output options of ffmpeg for [`read_ppm`].
 pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
 /// Excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
@@ -69,7 +69,7 @@ pub fn decode<T: Send + 'static>(
     }
 }
 
-/// Without references to other files.
+/// Restricts ffmpeg to this file, without references.
 pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     // A path may look like an option or a protocol.
     let mut name = OsString::from("file:");

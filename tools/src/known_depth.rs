@@ -27,9 +27,9 @@ use zipsplat::{
     weights::DepthHeads,
 };
 
-/// File of `depth` with the depth of all its photos.
+/// Depth of all photos, of `depth`.
 pub const VALUES: &str = "depths.safetensors";
-/// Metadata of [`VALUES`]: the photos' names without extension.
+/// Photos' names without extension.
 pub const PHOTOS: &str = "zipsplat.photos";
 
 const EXTENSIONS: [&str; 3] = ["npy", "exr", "png"];

@@ -9,7 +9,7 @@ use zipsplat::{
     types::{Image, MASKED},
 };
 
-/// Standard deviation of SSIM's window, in pixels.
+/// Of SSIM's window, in pixels.
 const SIGMA: f64 = 1.5;
 const RADIUS: usize = 5;
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;

@@ -91,7 +91,7 @@ fn is_builtin(weights: &str) -> bool {
 
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
-/// By its first bytes.
+/// Rejects other files by their first bytes.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
     if is_builtin(text) {
         refuse(

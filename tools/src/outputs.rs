@@ -1,4 +1,4 @@
-//! Output files: checked before any work, written atomically.
+//! Checked before any work, written atomically.
 
 use clap::Args;
 use png::{BitDepth, ColorType, Compression};
@@ -18,7 +18,7 @@ use zipsplat::{
 pub const DEPTH_LEVELS: f32 = 1000.0;
 pub const MADE_BY: &str = "zipsplat";
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
-/// At each end of a file.
+/// Bytes searched at each end of a file.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with author marks. `.splat` has none.
 const MARKS: [(&[u8], &[u8]); 23] = [

@@ -341,7 +341,7 @@ fn open(path: &Path, frame: Option<&&CaptureView>, masks: Option<&Masks>) -> Res
     }
 }
 
-/// Reads photos concurrently and maps them with `make`, by index.
+/// Concurrently.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&CaptureView],

@@ -35,7 +35,7 @@ pub struct Drawn {
     pub empty: bool,
 }
 
-/// In addition to `000.png`.
+/// Files in addition to `000.png`.
 fn layers(request: &RenderOptions) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),

@@ -1,4 +1,4 @@
-//! For skipping finished work.
+//! Stamps of inputs, for skipping finished work.
 
 use sha2::{Digest, Sha256};
 use std::{fs::File, path::Path, time::SystemTime};

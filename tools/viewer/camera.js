@@ -63,7 +63,7 @@ class ViewCamera {
         this.place(matrix.map(row => row[3]), [0, 1, 2].map(i => matrix.slice(0, 3).map(row => row[i])), distance);
     }
 
-    // Of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of view.
+    // Key of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of view.
     asKey(width, height) {
         const [right, down, forward] = this.axes;
         const rows = [0, 1, 2].map(i => [right[i], -down[i], -forward[i], this.eye[i]]);

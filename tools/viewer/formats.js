@@ -62,7 +62,7 @@ function plyHeader(bytes) {
     return header;
 }
 
-// Reads the rows that are there, of `all`, unless the file is `whole`.
+// Reads the rows that are there, of `all`, unless `whole`.
 async function readPly(bytes, progress, whole = true) {
     const { start, count: all, row, properties, antialiased } = plyHeader(bytes);
     const count = whole ? all : Math.min(all, Math.floor((bytes.length - start) / row));

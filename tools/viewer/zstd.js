@@ -10,7 +10,7 @@ const LENGTHS = LENGTH_BITS.map((all, kind) => {
     let base = 3 * kind;
     return all.map(bits => [(base += 2 ** bits) - 2 ** bits, bits]);
 });
-// Of literal lengths, offsets and match lengths.
+// Distributions of literal lengths, offsets and match lengths.
 const PREDEFINED = [
     [6, [4, 3, ...Array(11).fill(2), 1, 1, 1, ...Array(9).fill(2), 3, 2, 1, 1, 1, 1, 1, -1, -1, -1, -1]],
     [5, [...Array(6).fill(1), 2, 2, 2, ...Array(15).fill(1), ...Array(5).fill(-1)]],
@@ -60,7 +60,7 @@ function fseTable(log, counts) {
     return { log, table };
 }
 
-// Also returns the bytes that it takes.
+// A table's description, and the bytes that it takes.
 function readFse(bytes) {
     const bits = new Bits(bytes), log = 5 + bits.read(4), counts = [];
     for (let left = 1 << log; left > 0;) {
@@ -112,7 +112,7 @@ function huffmanStream({ log, table }, bytes, out) {
     }
 }
 
-// Also returns the bytes that they take.
+// Literals of a block, and the bytes that they take.
 function readLiterals(bytes, tables) {
     const type = bytes[0] & 3, format = bytes[0] >> 2 & 3, bits = new Bits(bytes);
     if (type < 2) {

@@ -62,7 +62,7 @@ fn equals_the_reference() {
 
 #[test]
 fn of_equally_near_ones_the_first() {
-    // Many targets share few coordinates, so nearly every distance ties.
+    // Nearly every distance ties.
     let places = |seed, len| random_below(seed, len, 3).iter().map(|&x| x as f32).collect::<Vec<_>>();
     for targets in [40, 300, 2000] {
         check(&format!("{targets} targets"), &places(3, 100 * 4), &places(4, targets * 4), 4);

@@ -133,7 +133,6 @@ fn long_sums_of_few_results_are_cut_into_parts() {
     }
 }
 
-/// By dot products.
 const DOTS: LinearKernel = LinearKernel::Dots(Tiles::BY_RULE);
 
 #[test]

@@ -1,4 +1,4 @@
-//! Split heads: exact placement, norm and rotation.
+//! Exact placement, norm and rotation.
 
 use crate::case::*;
 use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
@@ -15,7 +15,7 @@ struct Call {
     out_rows: usize,
     sequence: usize,
     norm: bool,
-    /// Of patches, for the rotation.
+    /// Rows and columns of patches, for the rotation.
     grid: Option<(usize, usize)>,
     global: bool,
     /// Rows interleaved in a panel; 0 for contiguous rows.

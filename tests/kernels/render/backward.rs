@@ -7,7 +7,7 @@ use zipsplat::stages::render::{
 use zipsplat_tests::reference::render::backward::{Direction, Drawing, Weights, along};
 use zipsplat_tests::reference::render::rasterize::render;
 
-/// Of the sum of `d_frames` times frames.
+/// Gradients of the sum of `d_frames` times frames.
 struct Found {
     means: Vec<f32>,
     scales: Vec<f32>,

@@ -26,7 +26,7 @@ fn splats() -> Vec<Splat> {
     (0..150).map(splat).collect()
 }
 
-/// Also normal and token color if `all`.
+/// Color, alpha and depth; normal and token color if `all`.
 fn draw<const CHANNELS: usize>(splats: &[Splat], runs: u32, batched: bool, all: bool) -> Vec<[f32; CHANNELS]> {
     let grid = SIZE.map(|pixels| pixels.div_ceil(TILE as usize));
     let tiles = grid[0] * grid[1];

@@ -11,7 +11,7 @@ const K: [f64; 4] = [-0.03, 0.01, -0.002, 0.0003];
 /// OpenCV's k1, k2, p1, p2, k3 to k6.
 const FULL: [f64; 8] = [0.4, 0.05, 0.001, -0.002, 0.01, 0.75, 0.2, 0.03];
 
-/// By independent formulas.
+/// A wide lens by independent formulas.
 struct Wide {
     model: &'static str,
     size: [u32; 2],
@@ -110,7 +110,7 @@ fn view_ray(camera: &Camera, [u, v]: [f64; 2]) -> DVec3 {
     (camera.pose.rotation * DVec3::new((u - i.cx) / i.fx, (v - i.cy) / i.fy, 1.0)).normalize()
 }
 
-/// Of the surroundings, 0..1.
+/// Color of the surroundings, 0..1.
 fn light(ray: DVec3) -> [f64; 3] {
     let d = ray.normalize();
     [DVec3::new(9.0, 4.0, -7.0), DVec3::new(-3.0, 11.0, 5.0), DVec3::new(6.0, -8.0, 8.0)]

@@ -1,4 +1,4 @@
-//! Of SuperSplat and PlayCanvas, from its description.
+//! Packed PLY of SuperSplat and PlayCanvas, from its description.
 
 use super::{assert_damaged, assert_within};
 use zipsplat_tests::prelude::*;

@@ -87,7 +87,7 @@ fn check_reference(golden: &Golden) {
     assert!(compared >= 9, "{}: {compared}", golden.file());
 }
 
-/// Also maps names of the device.
+/// Token taps: names of the device, and their tokens' parts.
 fn check_tokens(golden: &Golden, a: &DepthArchitecture, observed: &Observed) -> usize {
     let tap = |name: String| observed.taps(&name).swap_remove(0);
     let block = |pair: usize, step: usize| tap(format!("bb/block{}", a.backbone.alt_start + 2 * pair + step));

@@ -51,7 +51,7 @@ fn open(root: &[u8], variant: Option<&str>) -> Result<Checkpoint, Error> {
     Checkpoint::from_bytes("trained.tar", saved(root), variant)
 }
 
-/// Of a compiled, distributed model.
+/// Names of a compiled, distributed model.
 fn wrapped(name: &str) -> String {
     format!(
         "module.{}",

@@ -72,9 +72,9 @@ impl Method {
 
 pub struct Aligned {
     pub camera: Camera,
-    /// Rendering from the camera, `[height][width][rgb]` in 0..1.
+    /// From the camera, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<f32>,
-    /// Rendering from the initial camera.
+    /// From the initial camera.
     pub before: Vec<f32>,
     /// From the initial camera, in radians.
     pub turn: f64,

@@ -10,7 +10,7 @@ use std::{
 use zipsplat::{Error, Result};
 
 const PYCOLMAP: &str = include_str!("pycolmap.py");
-/// Folder of masks, named after images with `.png` appended.
+/// Named after images, with `.png` appended.
 pub(super) const MASKS: &str = "masks";
 /// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
@@ -153,7 +153,7 @@ impl Colmap {
         if version.starts_with(|c: char| c.is_ascii_digit()) && version.lines().count() == 1 {
             return Ok(Self { program: program.into(), python: true, version: version.into() });
         }
-        // A traceback's last line has the reason.
+        // A traceback ends with the reason.
         Err(why(&version.lines().last().unwrap_or("prints nothing")))
     }
 
@@ -241,7 +241,7 @@ impl Colmap {
     }
 }
 
-/// Stops Qt from needing a display: COLMAP 3 starts it even without windows.
+/// COLMAP 3 starts Qt even without windows.
 fn headless(command: &mut Command) -> &mut Command {
     command.env("QT_QPA_PLATFORM", "offscreen")
 }

@@ -29,7 +29,7 @@ use zipsplat::{
     },
 };
 
-/// Unless a folder of this name holds a model.
+/// Estimates cameras, unless a folder of this name holds a model.
 pub const COLMAP: &str = "colmap";
 const FIND: &str = "find";
 const DA3: &str = "da3";
@@ -37,7 +37,7 @@ const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Number of photos up to which every unregistered photo justifies a retry.
+/// Up to so many photos, every unregistered one justifies a retry.
 const FEW_PHOTOS: usize = 12;
 /// Registered fraction that needs no retry, for more photos.
 const ENOUGH: f64 = 0.8;
@@ -114,7 +114,7 @@ impl Finder {
         finders.find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
     }
 
-    /// Family of the network, if any.
+    /// Of the network, if any.
     pub fn family(self) -> Option<Family> {
         match self {
             Self::Colmap => None,

@@ -69,7 +69,7 @@ pub struct Render {
     /// Draw each Gaussian as an opaque dot of this width in the scene's unit
     #[arg(long, value_name = "SIZE", value_parser = parse_length)]
     point_size: Option<f64>,
-    /// Also print each pass of the first picture with its time and memory, and skipped effects
+    /// Also print the first picture's time and memory by pass, and why effects are skipped
     #[arg(long)]
     explain: bool,
     /// Folder to write to, created if missing; -: raw rgb24 pictures in order, to standard output

@@ -17,7 +17,7 @@ use zipsplat::{
 /// Least mean of a mask's values, and pixels of weight, of a Gaussian inside.
 const INSIDE: f32 = 0.5;
 const LEAST_PIXELS: f32 = 0.5;
-/// Least weight at a pixel of a Gaussian chosen there, relative to the largest.
+/// Least weight at a pixel, relative to the largest.
 const CHOSEN: f32 = 0.5;
 
 /// Select Gaussians by masks or by a pixel, and keep or remove them

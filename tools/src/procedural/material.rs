@@ -9,7 +9,7 @@ pub(super) struct Material {
     pub texture: Texture,
     pub specular: f32,
     pub shininess: f32,
-    /// Of albedo.
+    /// Factor of albedo.
     pub glow: f32,
 }
 

@@ -1,4 +1,4 @@
-//! Of proposed views, with few rays.
+//! Checks of proposed views, with few rays.
 
 use glam::{Vec2, Vec3A};
 use zipsplat::types::median;
@@ -12,7 +12,7 @@ const LEAST_SURFACE: f32 = 0.55;
 /// Nearest distance relative to the median.
 const NEAREST: f32 = 0.22;
 
-/// Of a view's surfaces, in each of [`WITNESSES`] other views.
+/// Share of a view's surfaces visible in each of [`WITNESSES`] other views.
 pub const LEAST_OVERLAP: f32 = 0.35;
 pub const WITNESSES: usize = 2;
 

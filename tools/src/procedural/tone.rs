@@ -8,7 +8,7 @@ use super::rng::Rng;
 /// Linear light where highlights roll off.
 const SHOULDER: f32 = 0.65;
 
-/// Of all views of a scene.
+/// Equal for all views of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Development {
     /// Exposure times white balance.

@@ -79,7 +79,7 @@ impl World {
         &self.primitives
     }
 
-    /// Distance in meters along a unit direction.
+    /// In meters, along a unit direction.
     pub fn distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
         self.bvh.nearest(&self.primitives, origin, direction, FAR).map(|(t, _)| t)
     }

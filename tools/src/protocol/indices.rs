@@ -1,4 +1,4 @@
-//! In the reference's JSON: `{"scene": {"context": [0, 19, ..], "target": [1, 6, ..]}}`.
+//! Frames in the reference's JSON: `{"scene": {"context": [0, 19, ..], "target": [1, 6, ..]}}`.
 
 use crate::stamp::digest;
 use serde::Deserialize;

@@ -123,8 +123,7 @@ pub struct RefineSettings {
     /// scale and a shift
     #[arg(long, value_name = "FOLDER|FILE|NETWORK")]
     depth_loss: Option<PathBuf>,
-    /// Initial weight of depth in the loss; it falls to a hundredth [default: 2, for a network's
-    /// 0.5]
+    /// Initial weight of depth in the loss; it falls to a hundredth [default: 2; 0.5 for networks]
     #[arg(long, value_name = "WEIGHT", requires = "depth_loss", value_parser = parse_weight)]
     depth_weight: Option<f32>,
     /// Random seed of photo order and growth

@@ -8,7 +8,7 @@ use zipsplat::{
     types::{Camera, Pose, median},
 };
 
-/// Of moved cameras: rotation in degrees, and shift.
+/// Medians of the moved cameras: rotation in degrees, and shift.
 fn camera_movement(given: &[Camera], refined: &RefineResult) -> Option<[f64; 2]> {
     let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
     let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();

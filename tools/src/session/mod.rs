@@ -71,7 +71,6 @@ pub struct Session<'a> {
     warnings: Vec<String>,
     global: Global,
     terminal: Terminal<'a>,
-    /// Standard output carries data, so the result goes to standard error.
     piped: bool,
     code: u8,
     task: String,

@@ -1,4 +1,4 @@
-//! Self-contained HTML page: style, scripts and optional scenes.
+//! Self-contained: style, scripts and optional scenes.
 
 use super::{InputCamera, ShownFeatures};
 use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
@@ -121,7 +121,6 @@ fn write_bytes(out: &mut dyn Write, id: &str, bytes: &[u8]) -> Result<()> {
     out.write_all(b"</script>\n")
 }
 
-/// Drops indentation and lines of comments.
 fn packed(script: &str) -> String {
     let lines = script.lines().map(str::trim_start).filter(|line| !line.starts_with("//"));
     lines.flat_map(|line| [line, "\n"]).collect()

@@ -103,7 +103,7 @@ impl FromPhotos {
         Ok(Photographed { photos, known, folder })
     }
 
-    /// For rejection with scene files.
+    /// First given option, for rejection with scene files.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
             ("--weights", !self.weights.is_builtin()),

@@ -39,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// A new one closes the oldest connection.
 const INCOMPLETE: usize = 64;
 
-/// Loopback server whose paths all begin with a random token.
+/// Loopback server with a random token before all paths.
 pub struct Server {
     listener: TcpListener,
     token: String,

@@ -45,7 +45,7 @@ enum What {
 }
 
 const MOST: i64 = 1_000_000;
-/// By host memory.
+/// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;
 
 #[derive(Args, Clone, Copy)]

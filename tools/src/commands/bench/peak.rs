@@ -19,9 +19,9 @@ use zipsplat::{
 };
 use zipsplat_reference::measure::{fma::chains, matrix::products};
 
-/// Beyond all caches.
+/// Bytes of the copy, beyond all caches.
 const COPIED: u64 = 512 << 20;
-/// To the sustained clock.
+/// Warm-up to the sustained clock.
 const WAKING: Duration = Duration::from_millis(500);
 /// Dispatches take at most twice this.
 const LONG_ENOUGH: Duration = Duration::from_millis(20);

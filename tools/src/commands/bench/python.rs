@@ -12,11 +12,11 @@ use zipsplat::{
 
 pub struct Script {
     option: &'static str,
-    /// For errors of `option`.
+    /// Requirements, for errors of `option`.
     needed: &'static str,
-    /// Fails without them.
+    /// Python code that fails without them.
     check: &'static str,
-    /// By file name, the script first.
+    /// Sources by file name, the script first.
     files: &'static [(&'static str, &'static str)],
 }
 

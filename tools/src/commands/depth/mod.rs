@@ -194,7 +194,7 @@ impl Depth {
         Ok(Some((frames, poses.points)))
     }
 
-    /// Returns the levels per unit, common to all pictures.
+    /// Returns the levels per unit, of all pictures.
     fn save_pictures(&self, depths: &DepthPrediction, names: &[String]) -> Result<f32> {
         let size = [depths.width, depths.height];
         let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthMap::depth_behind_sky).collect();

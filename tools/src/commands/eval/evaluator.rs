@@ -22,7 +22,7 @@ use zipsplat::{
     weights::{Checkpoint, DepthHeads},
 };
 
-/// In dB, ends --converge.
+/// Gain in dB that ends --converge.
 const CONVERGED: f64 = 0.1;
 
 pub struct Evaluator<'a> {

@@ -132,8 +132,7 @@ pub struct Eval {
     pose_noise: f64,
     /// Length of the network's unit in the cameras' unit; or the median distance of the input
     /// photos' pixels from the first camera, by weights of Depth Anything 3 or a folder with
-    /// NAME.npy as --from-depth [default: the median distance of the capture's points, else of the
-    /// point that the cameras look at, else the distance between cameras]
+    /// NAME.npy as --from-depth [default: as of `reconstruct`]
     #[arg(long, value_name = "LENGTH|WEIGHTS|DIR")]
     scene_scale: Option<Scaling>,
     #[command(flatten)]

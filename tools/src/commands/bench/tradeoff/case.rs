@@ -28,7 +28,7 @@ pub struct Case<'a> {
     pub refine: Vec<(Initialization, RefineTask)>,
 }
 
-/// Without equal results, the lists' first values first.
+/// Combinations without equal results, the lists' first values first.
 pub fn all<'a>(
     args: &Tradeoff,
     architecture: &Architecture,

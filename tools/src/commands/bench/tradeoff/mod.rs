@@ -92,7 +92,7 @@ pub struct Tradeoff {
     /// Network input size [default: the trained size]
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
-    /// Length of the network's unit in the cameras' unit [default: as of `eval`]
+    /// Length of the network's unit in the cameras' unit [default: as of `reconstruct`]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// Untimed runs before the measurement

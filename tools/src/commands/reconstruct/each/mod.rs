@@ -200,7 +200,7 @@ impl Runner<'_> {
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
         let tally = Mutex::new(Tally::default());
         let limit = self.batch.command.limit.unwrap_or(usize::MAX);
-        // Of an earlier run.
+        // The failure list of an earlier run.
         std::fs::remove_file(self.batch.command.output().join(FAILURES)).ok();
         let ended = std::thread::scope(|scope| {
             // Each queue holds one capture.
