@@ -48,6 +48,7 @@ install -m 644 "$libs/libzipsplat_c.a" "$prefix/$lib/libzipsplat.a"
 # From the library folder to PREFIX.
 up=$(printf '%s\n' "$lib" | sed 's:/*$::; s:[^/][^/]*:..:g')
 
+# pc NAME DESCRIPTION LIBS: writes a pkg-config file.
 pc() {
   cat > "$prefix/$lib/pkgconfig/$1.pc" << END
 prefix=\${pcfiledir}/../$up
@@ -82,6 +83,7 @@ if(NOT TARGET zipsplat::zipsplat)
     INTERFACE_INCLUDE_DIRECTORIES "\${_zipsplat}/include")
 endif()
 END
+# Satisfies programs that request this version or an earlier one of the same ABI.
 cat > "$prefix/$lib/cmake/zipsplat/zipsplat-config-version.cmake" << END
 set(PACKAGE_VERSION "$version")
 if(NOT PACKAGE_FIND_VERSION VERSION_GREATER PACKAGE_VERSION AND PACKAGE_FIND_VERSION_MAJOR EQUAL $(number VERSION_MAJOR))

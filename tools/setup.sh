@@ -25,7 +25,7 @@ die() { say "$@"; exit 1; }
 zipsplat() { cargo "${run_zipsplat[@]}" "$@"; }
 run_zipsplat=(run --manifest-path "$root/Cargo.toml" --profile "${ZIPSPLAT_PROFILE:-release}" --quiet -p zipsplat-cli --)
 
-# build ARGS...: cargo build, with a line if it takes or waits longer than a second.
+# build ARGS...: cargo build, with a line if it takes longer than a second or waits for another.
 build() {
   { sleep 1 > /dev/null 2>&1 && say "building (or waiting for another build); the first time takes minutes"; } &
   local timer=$! status=0
@@ -34,6 +34,7 @@ build() {
   return $status
 }
 
+# stage NAME COMMAND...: runs COMMAND and prints its time.
 stage() {
   local TIMEFORMAT="zipsplat: $1 took %1R s"
   time "${@:2}"

@@ -29,7 +29,7 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")
 }
 
-/// Between macros and end.
+/// The lines between its macros and its end.
 pub fn header() -> String {
     let text = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
     let (_, rest) = text.split_once("extern \"C\" {\n#endif\n").expect("the begin of its declarations");

@@ -21,7 +21,7 @@ pub fn installation() -> &'static Installation {
     static INSTALLATION: OnceLock<Installation> = OnceLock::new();
     INSTALLATION.get_or_init(|| {
         let prefix = Path::new(env!("CARGO_TARGET_TMPDIR")).join("abi");
-        // `current_exe` names an explicit dynamic loader.
+        // Under an explicit dynamic loader, `current_exe` names the loader.
         let test = PathBuf::from(std::env::args_os().next().expect("the test's own path"));
         let mut install = Command::new(root().join("tools/install.sh"));
         install.arg(&prefix).env("ZIPSPLAT_LIBS", test.parent().expect("a folder"));

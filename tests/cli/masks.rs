@@ -1,4 +1,3 @@
-
 use crate::{Folder, zipsplat};
 use image::{GrayImage, RgbImage, RgbaImage};
 use zipsplat::types::{Image, Scene};

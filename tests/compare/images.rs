@@ -6,7 +6,7 @@ use std::{env, fs};
 use super::{Float, Tolerance};
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
-/// On the deviation per value, `absolute + relative * |truth|`.
+/// Limit of the deviation per value, `absolute + relative * |truth|`.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageTolerance {
     /// In the picture's unit.

@@ -1,4 +1,4 @@
-//! Simulated by `failing.c`.
+//! Device loss and failing drivers, simulated by `failing.c`.
 
 use crate::processes::{assert_succeeds, child};
 use std::path::{Path, PathBuf};
@@ -68,7 +68,7 @@ impl Faults {
         std::fs::write(&self.0, format!("{function} {first} {result}")).unwrap();
     }
 
-    /// On the last destroyed device.
+    /// Number of calls on the last destroyed device.
     pub fn made(&self) -> u32 {
         let text = std::fs::read_to_string(&self.0).unwrap();
         text.split(' ').nth(1).and_then(|calls| calls.parse().ok()).expect("what the layer wrote")

@@ -1,4 +1,3 @@
-
 use crate::{Mode, modes, noise};
 use zipsplat_cli::metrics::psnr;
 use zipsplat_tests::prelude::*;

@@ -41,7 +41,7 @@ fn rows(network: LpipsNetwork) -> Vec<Row> {
     }
 }
 
-/// They keep the features' size.
+/// Random weights that keep the features' size.
 fn weights(network: LpipsNetwork) -> HashMap<String, Vec<f32>> {
     let (mut inputs, mut taps, mut found) = (3, 0, HashMap::new());
     for (i, (outputs, side, _, _, _, tap)) in rows(network).into_iter().enumerate() {

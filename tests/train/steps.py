@@ -126,8 +126,8 @@ def two_processes_learn_as_one_does():
         for launcher, name in (([], "one"), (["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"], "two")):
             subprocess.run([sys.executable, *launcher, __file__, f"{folder}/{name}"], env=environment, check=True)
         one, two = (torch.load(f"{folder}/{name}", weights_only=True) for name in ("one", "two"))
-    # Of loss, opacity by averaged weights, and the gradient's norm, which amplifies rounding. Muon
-    # iterates in bf16.
+    # Relative, of loss, opacity by averaged weights, and the gradient's norm, which amplifies
+    # rounding. Muon iterates in bf16.
     limits = {False: torch.tensor([1e-3, 1e-3, 1e-2]), True: torch.tensor([2e-2, 2e-2, 1e-1])}
     for muon, limit in limits.items():
         exact, found = (torch.tensor(run[muon]["measured"]) for run in (one, two))

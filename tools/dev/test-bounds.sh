@@ -1,3 +1,4 @@
+#!/usr/bin/env bash
 # Runs kernels and stages with GPU-AV, which checks every access against its binding, without tests
 # that would take minutes.
 set -euo pipefail

@@ -50,7 +50,7 @@ impl BlockArgs {
     }
 }
 
-/// Tokens are of one pass.
+/// Rejects the refinement of tokens, which are of one pass.
 pub fn refuse_tokens(blocks: usize) -> Result<()> {
     let found = format!("{blocks} blocks of views");
     if blocks > 1 { Err(Error::argument("--refine-target tokens", found, "views that fit in one")) } else { Ok(()) }

@@ -123,7 +123,7 @@ fn shortened(arg: clap::Arg) -> clap::Arg {
     arg.help(long[..end].to_owned()).long_help(long)
 }
 
-/// `args` start with the program name.
+/// Returns the exit code (see `--help`). `args` start with the program name.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let commands = Cli::command();
     let is_command = |word: &str| {

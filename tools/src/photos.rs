@@ -341,7 +341,7 @@ fn open(path: &Path, frame: Option<&&CaptureView>, masks: Option<&Masks>) -> Res
     }
 }
 
-/// Concurrently.
+/// Reads photos concurrently.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&CaptureView],

@@ -1,4 +1,4 @@
-//! The next run removes folders of killed processes.
+//! Temporary folders; the next run removes those of killed processes.
 
 use std::{
     fs::{File, FileType, TryLockError},

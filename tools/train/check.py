@@ -21,7 +21,7 @@ from weights import Architecture, load, seeded
 # Of a tap's maximum error over the truth's RMS, from f32 rounding.
 TOLERANCE = 3e-5
 
-# Of packed Gaussians.
+# Columns of packed Gaussians.
 FIELDS = {"means": (0, 3), "scales": (3, 6), "quats": (6, 10), "opacities": (10, 11), "sh_coeffs": (11, None)}
 
 

@@ -46,7 +46,7 @@ class Fusion(nn.Module):
 
     def forward(self, level, below, size):
         x = level if below is None else below + self.resConfUnit1(level)
-        # Costs a quarter before the resize.
+        # Commutes with the resize and costs a quarter before it.
         return resized(self.out_conv(self.resConfUnit2(x)), size)
 
 

@@ -190,7 +190,7 @@ def total(gaussians, tokens, pictures, given, batch, weights, config, perceptual
         hinges = config["hinges"]
         parts["scale"] = F.relu(scales - hinges["scale"]).square().mean()
         parts["far"] = F.relu(means.abs() - hinges["far"]).square().mean()
-        # Reference code. The paper's text penalizes opacities above the hinge.
+        # The reference code penalizes opacities below the hinge; the paper's text, those above.
         parts["faint"] = F.relu(hinges["opacity"] - opacity).square().mean()
         parts["opacity"] = F.relu(opacity - hinges["opacity"]).square().mean()
     parts = {name: value for name, value in parts.items() if weights[name]}

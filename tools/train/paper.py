@@ -1,6 +1,6 @@
 """The published training, setting by setting: ZipSplat, arXiv 2606.05102."""
 
-# Setting: (value, section). "A" is appendix A. The code wins over the text.
+# Setting: (value, section). "A" is appendix A. The reference code wins over the text.
 PAPER = {
     "architecture.family": ("da3", "4.1"),
     "architecture.width": (1536, "A"),

@@ -30,7 +30,7 @@ class Edit {
 
     get shown() { return !element("edit").hidden && this.ready; }
 
-    // Not while it arrives.
+    // A part of a scene that is still arriving is not edited.
     get ready() { return Boolean(this.page.scene?.drawable) && !this.page.scene.partial; }
 
     get picks() { return this.shown && element("object").selected; }

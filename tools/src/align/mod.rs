@@ -95,7 +95,8 @@ pub enum Doubt {
 }
 
 /// Minimizes the squared error between the rendering of `camera` and `photo`, of equal size,
-/// divided by the mean alpha. The scene should be at a distance of about 1. Intrinsics stay fixed.
+/// divided by the mean alpha so that holes do not count. The scene should be at a distance of about
+/// 1. Intrinsics stay fixed.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.

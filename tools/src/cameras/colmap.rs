@@ -241,7 +241,7 @@ impl Colmap {
     }
 }
 
-/// COLMAP 3 starts Qt even without windows.
+/// Stops Qt from needing a display: COLMAP 3 starts it even without windows.
 fn headless(command: &mut Command) -> &mut Command {
     command.env("QT_QPA_PLATFORM", "offscreen")
 }

@@ -21,8 +21,8 @@ use zipsplat::Result;
 /// fifths of the photos (of up to 12 photos: not all).
 ///
 /// --method da3 and vggt handle two photos, little overlap and little texture, but are less
-/// accurate where COLMAP succeeds. They need --weights. points.ply then has all confident pixels,
-/// in the network's unit.
+/// accurate where COLMAP succeeds. They need --weights and no other program. points.ply then has
+/// all confident pixels, in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json

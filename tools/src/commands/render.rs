@@ -77,7 +77,7 @@ pub struct Render {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4
+    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), .mp4 with ffmpeg
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
     /// Pictures per second of --video

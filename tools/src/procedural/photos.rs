@@ -13,7 +13,7 @@ use super::tone::srgb_to_linear;
 /// Allows training data and releases.
 const PERMISSIVE: &str = "permissive";
 
-/// Other fields are ignored.
+/// Entry of `manifest.json`; other fields are ignored.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Crop {
     pub file: String,

@@ -33,7 +33,7 @@ const SCHEMA_VERSION: u32 = 1;
 pub struct Terminal<'a> {
     pub out: &'a mut dyn Write,
     pub err: &'a mut dyn Write,
-    /// A bar on a terminal, else occasional lines.
+    /// On standard error: a bar on a terminal, else occasional lines.
     pub progress: bool,
     /// The command ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,

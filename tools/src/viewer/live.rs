@@ -66,8 +66,8 @@ impl LiveScene {
 }
 
 impl Live<'_> {
-    /// Stops if a higher `number` overtakes it, by default the next one: requests may arrive out of
-    /// order.
+    /// Stops if a higher `number` overtakes it: requests may arrive out of order. The default is
+    /// the next number.
     pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<LiveScene> {
         let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst).saturating_add(1));
         self.latest.fetch_max(own, Ordering::SeqCst);

@@ -23,7 +23,7 @@ use zipsplat_reference::measure::{fma::chains, matrix::products};
 const COPIED: u64 = 512 << 20;
 /// Warm-up to the sustained clock.
 const WAKING: Duration = Duration::from_millis(500);
-/// Dispatches take at most twice this.
+/// Shortest dispatch; dispatches take at most twice this.
 const LONG_ENOUGH: Duration = Duration::from_millis(20);
 /// Keeps sums exact.
 const MOST_ITERATIONS: u32 = 1 << 18;

@@ -80,8 +80,8 @@ pub struct Tradeoff {
     /// Arithmetics: fp32, fp16, bf16, int8 [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
-    /// Types to round the weights to, as `convert --dtype`; the weights as stored are always
-    /// included. Combined with every number of photos and ratio, otherwise first values
+    /// Types to round the weights to: f16, bf16, q8; the weights as stored are always included.
+    /// Combined with every number of photos and ratio, otherwise first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
     dtype: Vec<Option<Dtype>>,
     /// Largest number of compared photos

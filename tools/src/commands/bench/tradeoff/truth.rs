@@ -17,7 +17,7 @@ use zipsplat_reference::{
 };
 use zipsplat_verify::network;
 
-/// Seconds on a CPU.
+/// Limit of an f64 reference: seconds on a CPU.
 pub const MOST_FLOPS: u64 = 20_000_000_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]

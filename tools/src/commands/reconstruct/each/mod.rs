@@ -310,7 +310,7 @@ impl Runner<'_> {
     fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
         let failures = &mut lock(tally).failures;
         failures.push(Failure::new(work.folder.display(), error));
-        // The count still reports the failure.
+        // If the file cannot be written, the count still reports the failure.
         outputs::save_csv(&self.batch.command.output().join(FAILURES), failures).ok();
     }
 
@@ -337,7 +337,7 @@ fn is_finished(work: &Work, hash: &str) -> bool {
     read().is_some_and(|record| record["hash"] == hash && bytes.is_some() && record["bytes"].as_u64() == bytes)
 }
 
-/// Or else those of its images/.
+/// The folder's, or else those of its images/.
 fn photos_of(folder: &Path) -> Result<Vec<PathBuf>> {
     let photos = photos::directly_in(folder)?;
     let below = folder.join("images");
