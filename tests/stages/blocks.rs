@@ -1,4 +1,3 @@
-
 use zipsplat::Pose;
 use zipsplat::reconstruct::{Block, BlockLayout, BlockOptions, Network, Seam, Shape};
 use zipsplat_tests::prelude::*;

@@ -1,4 +1,3 @@
-
 use crate::{
     metrics::{self, mean_color, psnr, values},
     photos,

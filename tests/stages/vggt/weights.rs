@@ -1,4 +1,3 @@
-
 use crate::depth::architecture;
 use std::collections::BTreeMap;
 use tempfile::TempDir;

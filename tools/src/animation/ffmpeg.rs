@@ -1,4 +1,3 @@
-
 use super::Encoder;
 use crate::{
     process::{self, Running, failure, listen},

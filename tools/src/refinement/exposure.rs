@@ -1,4 +1,3 @@
-
 use super::RefineSettings;
 use clap::ValueEnum;
 use std::{
