@@ -46,7 +46,7 @@ fn evaluate(folder: &Folder, options: &str) -> f64 {
 fn a_scene_is_judged_alike_in_every_layout() {
     let folder = Folder::new();
     let (scene, cameras) = place(&folder);
-    // The cameras' world (3DGS, brush), the first camera's (pose-free systems), its axes
+    // Worlds: the cameras' (3DGS, brush), the first camera's (pose-free systems), its axes alone
     // (DepthSplat).
     save(&folder, "cameras.ply", &scene, LENGTH, &world());
     save(&folder, "first.ply", &scene, 1.0, &Pose::IDENTITY);

@@ -170,7 +170,6 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     );
 }
 
-/// In another scale.
 #[test]
 fn a_scene_can_be_in_the_world_of_its_cameras() {
     let folder = folder();

@@ -3,8 +3,7 @@ use tempfile::TempDir;
 use zipsplat::tune::{KernelChoice, SelfTest};
 use zipsplat_tests::prelude::*;
 
-/// Computes in f16 with this cache, until `passed`, `noted` failed kernels, `refused`, or
-/// `stopped`.
+/// Computes in f16 with this cache: `passed`, `noted` failed kernels, `refused`, or `stopped`.
 fn process(cache: &Path, expected: &str) -> std::process::Command {
     let mut command = child("cache::computes_in_f16", Path::new(expected), "");
     command.env("ZIPSPLAT_CACHE", cache).env("ZIPSPLAT_VALIDATION", "0");

@@ -20,7 +20,6 @@ const LAYERS: [&str; 14] = [
     "refine",
 ];
 
-/// Dispatch kernels.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 
 /// Unsafe code: validation of kernels, the C ABI and its calls, and memory mapping of checkpoints.

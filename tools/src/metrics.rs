@@ -147,7 +147,7 @@ pub fn masked_lpips(network: Option<&mut Perceptual>, image: &Image, picture: &[
     Ok(lpips(network, [&a, &b], [image.width, image.height])?.map(|distance| distance / kept))
 }
 
-/// `None` without a network, or for too small pictures, which are `[height][width][rgb]` in 0..1.
+/// `None` without a network, or if the pictures, `[height][width][rgb]` in 0..1, are too small.
 pub fn lpips(network: Option<&mut Perceptual>, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<Option<f64>> {
     match network {
         Some(network) if size[0].min(size[1]) >= network.network().least_side() => {

@@ -211,8 +211,7 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Splits files into photos and others. A HEIC picture beside a photo of the same name is not a
-/// photo.
+/// Splits files into photos and others. HEIC pictures beside a photo of the same name are others.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();

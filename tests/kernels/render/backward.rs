@@ -119,8 +119,7 @@ const SETS: [(&str, [bool; 3]); 5] = [
     ("all", [true, true, true]),
 ];
 
-/// Relative limits: of the total, and for each row a share of its own length and one of the
-/// longest.
+/// Relative limits: of the total, and per row shares of its own length and of the longest.
 fn hold(name: &str, got: &[f32], truth: &[f64], width: usize, [in_all, of_own, of_longest]: [f64; 3]) {
     assert_eq!(got.len(), truth.len(), "{name}");
     let length = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>().sqrt();

@@ -332,7 +332,6 @@ fn scenes_grow_by_default_unless_good() {
     };
     let (is_poor, grown) = len(&start);
     assert!(is_poor && grown > 4, "{grown}");
-    // Worth refining.
     let mut good = scene.clone();
     good.sh_coeffs.iter_mut().for_each(|[red, ..]| *red += 0.05);
     assert_eq!(len(&good), (false, 40));
@@ -359,7 +358,7 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
         };
         (0..3).map(of).collect::<Vec<f64>>().iter().sum::<f64>() / 3.0
     };
-    // So that the loss falls.
+    // Small rates, so that the loss falls.
     let LearningRates { means, scales, sh_coeffs, .. } = LearningRates::default();
     let rates = LearningRates {
         means: 0.02 * means,

@@ -30,7 +30,6 @@ fn file(count: u32, sh_degree: u8, records: &[u8], streams: &[&[u8]]) -> Vec<u8>
     [header, vec![0; 12], records.to_vec(), entries, frames.concat()].concat()
 }
 
-/// Degree 1.
 const POSITIONS: [i32; 6] = [4096, -2048, 1, -1, 8191, -4096];
 const ALPHAS: [u8; 2] = [0, 255];
 const COLORS: [u8; 6] = [0, 255, 51, 102, 153, 204];

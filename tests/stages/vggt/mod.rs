@@ -15,7 +15,6 @@ use zipsplat_tests::reference::forward::Taps;
 use zipsplat_tests::reference::model::Scope;
 use zipsplat_tests::reference::vggt::{self, Sizes};
 
-/// All configurations, whatever their seed.
 fn goldens() -> impl Iterator<Item = Golden> {
     let others = ["vggt_units", "vggt_pre"];
     let of_network =
@@ -29,7 +28,6 @@ fn sizes(a: &DepthArchitecture) -> Sizes {
     Sizes { patch: b.patch_size, width: b.width, heads: b.heads, embedding, pairs }
 }
 
-/// Pairs of the features.
 fn out_pairs(a: &DepthArchitecture) -> impl Iterator<Item = usize> {
     a.backbone.out_layers.iter().map(|block| (block - a.backbone.alt_start) / 2)
 }

@@ -69,8 +69,8 @@ fn every_recipe_opens_by_itself() {
         assert_eq!((opened.image_size(), opened.notes()), (336, &[][..]), "{name}");
         assert_eq!(read(&opened, "backbone.backbone.norm.bias")[..2], [0.5; 2]);
 
-        // A bare state dictionary with a counter. Shapes give all but the out layers, the named
-        // network's.
+        // A bare state dictionary with a counter. Shapes give all but the named network's
+        // out layers.
         let bare = [tensors(&expected, |name| name.into()), text("step"), int(7), b"s".to_vec()].concat();
         for variant in [None, Some(name), Some(&*name.replace("da3", "vit"))] {
             let opened = open(&bare, variant).unwrap();

@@ -67,7 +67,7 @@ pub struct Descent {
 }
 
 impl Descent {
-    /// `truth`: photo at the camera's size, `[height][width][rgb]`. Descents of an arena share its
+    /// `truth`: photo of the camera's size, `[height][width][rgb]`. Descents of an arena share its
     /// memory.
     pub fn new(renderer: &Renderer, arena: &Arena, truth: &[f32], camera: &Camera) -> Result<Self> {
         let scene =

@@ -59,8 +59,7 @@ pub enum Step {
     Cameras(Mapping),
 }
 
-/// Mapper settings of an attempt. COLMAP samples at random, and its defaults suit many overlapping
-/// photos.
+/// Mapper settings of an attempt. COLMAP samples at random; its defaults suit much overlap.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     seed: u32,

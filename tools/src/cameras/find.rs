@@ -114,7 +114,6 @@ impl Finder {
         finders.find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
     }
 
-    /// Of the network, if any.
     pub fn family(self) -> Option<Family> {
         match self {
             Self::Colmap => None,

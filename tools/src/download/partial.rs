@@ -131,7 +131,6 @@ impl Partial {
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
 
-    /// Contiguous bytes.
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }

@@ -4,8 +4,7 @@ use super::slab::slab;
 
 const BLOCK: usize = 8;
 
-/// Heights over `[-half_side, half_side]` in x and y. A cell's diagonal joins its low and high
-/// corners.
+/// Heights over `[-half_side, half_side]` in x and y. A cell's diagonal joins low and high corners.
 pub struct HeightField {
     half_side: f32,
     cells: usize,

@@ -151,7 +151,6 @@ impl World {
         (light, lit)
     }
 
-    /// Near a room's other surfaces.
     fn corner_shade(&self, point: Vec3A, normal: Vec3A) -> f32 {
         let Some(Room { low, high }) = self.room else { return 1.0 };
         let gaps = (point - low).min(high - point).max(Vec3A::ZERO);

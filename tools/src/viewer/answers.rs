@@ -20,7 +20,6 @@ const JSON: &str = "application/json";
 pub struct Served<'a> {
     pub config: &'a Config,
     pub scenes: &'a [Scene],
-    /// On demand.
     pub ready: Option<&'a Ready<'a>>,
     pub watched: Option<&'a Watched>,
     pub studio: &'a Studio,

@@ -37,7 +37,6 @@ pub struct Watched {
     pub stop: AtomicBool,
 }
 
-/// JSON.
 #[derive(Clone, Default, Serialize)]
 struct Now {
     step: usize,

@@ -69,7 +69,7 @@ pub struct Depth {
     /// single-view networks is aligned to the cameras' points
     #[arg(long, requires = "cameras")]
     metric: bool,
-    /// Also run VGGT's point head: world points and confidence for depths.safetensors and
+    /// Also run VGGT's point head, for world points and confidence in depths.safetensors and in
     /// points.ply
     #[arg(long)]
     point_head: bool,

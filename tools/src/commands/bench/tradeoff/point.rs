@@ -138,8 +138,8 @@ pub fn front(points: &[Point]) -> Vec<usize> {
     order
 }
 
-/// Up to three points of the front: `best` by PSNR, `fast` as the fastest with half of the front's
-/// gain in dB, and `balanced`, farthest above their connecting line in dB over log time.
+/// Up to three points of the front: `best` by PSNR; `fast`, the fastest with half of its gain in
+/// dB; `balanced`, farthest above their connecting line in dB over log time.
 pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
     let front = front(points);
     let (Some(first), Some(best)) = (front.first(), front.last()) else { return Vec::new() };

@@ -58,8 +58,7 @@ impl<'a> Truth<'a> {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
 
-    /// `settings` exclude precision. Later calls with equal settings use the first call's `chosen`
-    /// tokens.
+    /// `settings` exclude precision. Calls with equal settings use the first one's `chosen` tokens.
     pub fn compare(
         &mut self,
         model: &Model,
