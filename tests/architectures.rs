@@ -1,9 +1,7 @@
 use zipsplat::weights::{Architecture, DepthArchitecture, Ffn};
 
-/// `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`, `small` or `giant_slice`
-/// (golden/FORMAT.md, section 3).
-///
-/// Weights are seeded by the golden's name, `tiny` for `tiny_rect`.
+/// Networks of the goldens (golden/FORMAT.md, section 3). Weights are seeded by the golden's name,
+/// `tiny` for `tiny_rect`.
 pub fn golden(name: &str) -> Architecture {
     match name {
         "tiny" | "tiny_eps" | "tiny_rect" => Architecture::new(name, 128, 6, 2, &[3, 4, 5]),
@@ -32,7 +30,7 @@ pub fn golden(name: &str) -> Architecture {
     }
 }
 
-/// Returns a minimal multi-view Depth Anything 3 network without the Gaussian head.
+/// Minimal and multi-view, without the Gaussian head.
 pub fn depth_micro() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro", [64, 4, 1], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }
@@ -41,13 +39,13 @@ pub fn depth_micro_alone() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro-alone", [64, 4, 4], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }
 
-/// Returns a small network on VGGT with two feature pairs of three.
+/// On VGGT with two feature pairs of three.
 pub fn vggt_micro() -> Architecture {
     let like = Architecture::vggt("vggt-micro", 64, [2, 3], &[1, 2]);
     Architecture { position_grid: 5, gaussians_per_token: 4, ..like }
 }
 
-/// Returns the smallest network with every kind of parameter; the weights' seed is `pico`.
+/// The smallest with every kind of parameter; the weights' seed is `pico`.
 pub fn pico() -> Architecture {
     Architecture {
         patch_size: 2,

@@ -4,7 +4,6 @@ use std::io::{Cursor, Read, Write};
 use std::path::Path;
 use zipsplat::Error;
 
-/// Asserts an error with each of these words, and returns it.
 #[track_caller]
 pub fn assert_refused<T>(found: Result<T, Error>, words: &[&str]) -> Error {
     let Err(error) = found else { panic!("no error, expected {words:?}") };
@@ -15,7 +14,7 @@ pub fn assert_refused<T>(found: Result<T, Error>, words: &[&str]) -> Error {
     error
 }
 
-/// Asserts that bytes are refused as a malformed file of this name, with each of these words.
+/// Rejected as a malformed file of this name, with each of these words.
 #[track_caller]
 pub fn assert_malformed<T>(
     name: &str,

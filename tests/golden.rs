@@ -1,7 +1,6 @@
 //! Goldens: safetensors dumps of the PyTorch implementation (see `data/README.md`).
 //!
-//! A test whose golden is absent prints a line and passes: functions that find or open one return
-//! `None`.
+//! Without a golden, `find` and `open` print a line and return `None`: the test passes.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -25,7 +24,7 @@ fn folders() -> Vec<PathBuf> {
 pub fn find(file: &str) -> Option<PathBuf> {
     let found = folders().into_iter().map(|folder| folder.join(file)).find(|path| path.is_file());
     if found.is_none() {
-        // The harness swallows `println!` of a passing test.
+        // The harness swallows `println!`.
         let _ = writeln!(io::stderr(), "golden {file} is absent (tests/data, ../shared/golden/data): not compared");
     }
     found
@@ -39,7 +38,6 @@ pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
     found.ok()
 }
 
-/// Transposes `[N, 3, pixels]` to `[N, pixels, 3]`.
 pub fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
     let picture = |planes: &[T]| (0..3 * pixels).map(|i| planes[i % 3 * pixels + i / 3]).collect::<Vec<_>>();
     planes.chunks(3 * pixels).flat_map(picture).collect()
@@ -99,7 +97,7 @@ impl Golden {
         entry.unwrap_or_else(|| panic!("{}: no metadata {name:?}", self.file))
     }
 
-    /// Returns compression ratios with their key prefixes: `(0.5, "r0.5")`.
+    /// With key prefixes: `(0.5, "r0.5")`.
     pub fn compressions(&self) -> Vec<(f64, String)> {
         let ratios: Vec<f64> = serde_json::from_str(self.metadata("compressions")).expect("a list of ratios");
         ratios.into_iter().map(|ratio| (ratio, format!("r{ratio}"))).collect()

@@ -1,4 +1,4 @@
-//! Tests in child processes: some kill the process, others need it alone.
+//! Some tests kill the process, others need it alone.
 
 use std::{
     path::{Path, PathBuf},
@@ -11,7 +11,7 @@ pub fn target() -> Option<PathBuf> {
     std::env::var_os(TARGET).map(PathBuf::from)
 }
 
-/// Reruns this program with the one test `name`, through the same loader and `shell`.
+/// Reruns this program with the test `name`, through the same loader and `shell`.
 pub fn child(name: &str, target: &Path, shell: &str) -> Command {
     let line = std::fs::read("/proc/self/cmdline").expect("Linux");
     let words: Vec<String> =

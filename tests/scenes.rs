@@ -89,7 +89,7 @@ pub fn scene_extensions() -> impl Iterator<Item = &'static str> {
     SceneFormat::ALL.iter().map(|format| &format.extension()[1..])
 }
 
-/// Takes a row-major rotation and a translation.
+/// Row-major rotation, then translation.
 pub fn pose(row: &[f64]) -> Pose {
     Pose { rotation: DMat3::from_cols_slice(&row[..9]).transpose(), translation: DVec3::from_slice(&row[9..]) }
 }
@@ -99,7 +99,7 @@ pub fn pose_rows<'a>(poses: impl IntoIterator<Item = &'a Pose>) -> Vec<f64> {
     poses.into_iter().flat_map(row).collect()
 }
 
-/// Takes a world-to-camera matrix `[4, 4]` and intrinsics `[3, 3]`, row-major.
+/// World-to-camera `[4, 4]` and intrinsics `[3, 3]`, row-major.
 pub fn camera_of([view, k]: [&[f64]; 2], [width, height]: [u32; 2]) -> Camera {
     let intrinsics = Intrinsics { width, height, fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
     Camera { intrinsics, pose: camera_pose(view) }

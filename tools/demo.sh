@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# Reconstructs photos without cameras: estimates cameras with COLMAP, reconstructs, refines, and
-# renders a camera path (out/photos/contact.png). Without arguments uses the repository's banana
-# photos, then compares renders of a procedural scene with held-out photos
-# (out/place/comparison.png).
+# Estimates cameras of photos with COLMAP, reconstructs, refines, and renders a camera path
+# (out/photos/contact.png). Without arguments uses the banana photos, then compares renders of a
+# procedural scene with held-out photos (out/place/comparison.png).
 # usage: tools/demo.sh [PHOTO|FOLDER|VIDEO...]      ZIPSPLAT_WEIGHTS: default the built-in model
 set -euo pipefail
 # shellcheck source-path=SCRIPTDIR
@@ -15,7 +14,7 @@ weights=(${ZIPSPLAT_WEIGHTS:+--weights "$ZIPSPLAT_WEIGHTS"})
 mkdir -p "$out/photos"
 
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
-# Without COLMAP, zipsplat reports it as missing.
+# zipsplat reports COLMAP as missing.
 command -v colmap > /dev/null || python3 -c 'import pycolmap' 2> /dev/null || apt_install colmap || true
 photos=("${@:-$root/tests/data/bananas}")
 stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --views $views --cameras colmap \

@@ -26,7 +26,7 @@ done
 if [[ -z $libs ]]; then
   PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
   echo "zipsplat: building the C library, which takes some minutes the first time" >&2
-  # Together with the command: one set of features, so neither build invalidates the other.
+  # One set of features with the command, so neither build invalidates the other.
   cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-c -p zipsplat-cli
   libs=${CARGO_TARGET_DIR:-$root/target}/release
 fi
@@ -45,7 +45,7 @@ install -m 644 "$header" "$prefix/include/zipsplat.h"
 install -m 755 "$libs/${link/zipsplat/zipsplat_c}" "$prefix/$lib/$shared"
 ln -sf "$shared" "$prefix/$lib/$link"
 install -m 644 "$libs/libzipsplat_c.a" "$prefix/$lib/libzipsplat.a"
-# Relative path from the library folder to PREFIX.
+# From the library folder to PREFIX.
 up=$(printf '%s\n' "$lib" | sed 's:/*$::; s:[^/][^/]*:..:g')
 
 # pc NAME DESCRIPTION LIBS: writes a pkg-config file.

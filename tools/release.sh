@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
-# Builds the release files: command, C library and Python wheel, each with third-party licenses,
-# an SBOM (CycloneDX) and SHA256SUMS. On Linux, zig links against glibc 2.28; symbol versions are
-# checked.
+# Builds the release files: command, C library and Python wheel, each with third-party licenses, an
+# SBOM (CycloneDX) and SHA256SUMS. On Linux, zig links against glibc 2.28, which is checked.
 # usage: tools/release.sh [FOLDER]      default target/release-files
 #   ZIPSPLAT_CACHE  folder of the build tools' virtual environment; default ~/.cache/zipsplat
 set -euo pipefail
@@ -46,7 +45,7 @@ fits() {
 fits "$command"
 fits "$built/$library"
 
-# archive NAME FOLDER: writes a reproducible .tar.gz.
+# archive NAME FOLDER: reproducible.
 archive() {
   tar --sort=name --owner=0 --group=0 --numeric-owner --mtime="@${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}" -C "$2/.." -c "$(basename "$2")" |
     gzip -9n > "$out/$1.tar.gz"

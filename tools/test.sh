@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs all tests on lavapipe with validation and synchronization validation; layer messages fail.
+# Runs all tests on lavapipe with (synchronization) validation; layer messages fail.
 # usage: tools/test.sh [ARGS of cargo test]
 set -euo pipefail
 # setup.sh only unpacks lavapipe on Debian and Ubuntu.
@@ -10,7 +10,7 @@ export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-256}
 # shellcheck source-path=SCRIPTDIR
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
-# An unpacked lavapipe has its own validation layer.
+# An unpacked lavapipe has its own.
 [[ -n ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} ]] || apt_install vulkan-validationlayers
 # For programs that use the C library.
 apt_install g++ pkg-config libvulkan-dev

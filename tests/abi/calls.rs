@@ -14,7 +14,6 @@ use zipsplat::{
 use zipsplat_c::*;
 use zipsplat_tests::{architectures, device::device as rust_device};
 
-/// Type of a handle.
 pub trait Handle: Sized {
     const DESTROY: unsafe extern "C" fn(*mut Self);
 }
@@ -161,7 +160,7 @@ pub fn image_of(photo: &Image) -> zs_image {
     }
 }
 
-/// The engine's own defaults, at the photos' size.
+/// Defaults, at the photos' size.
 pub fn reconstruct_options() -> zs_reconstruct_options {
     let world = zs_world::ZS_WORLD_FIRST_CAMERA as i32;
     zs_reconstruct_options { world, scene_scale: 1.0, input_size: [SIDE; 2], ..Versioned::new() }
@@ -184,7 +183,6 @@ pub fn try_reconstruct(
     Object::try_new(make)
 }
 
-/// The same in Rust.
 pub fn rust_scene(checkpoint: &Checkpoint, views: &[Image], options: &ReconstructOptions) -> Scene {
     let model = Model::from_checkpoint(rust_device(), checkpoint, |_| Continue(())).expect("a model");
     model.reconstruct_views(views, options, |_| Continue(())).expect("a scene").to_scene().expect("Gaussians")

@@ -8,7 +8,7 @@ use zipsplat_c::*;
 /// Allocators and driver threads occasionally grow; a leak grows in every stretch.
 const STRETCHES: usize = 4;
 const WARM_UP: usize = 24;
-/// In MB, of the stretch that grows least.
+/// In MB, of the least growing stretch.
 const LEAST_GROWTH: f64 = 0.5;
 
 fn cycle(cycle: usize) {
@@ -54,8 +54,7 @@ fn every_order_of_destruction_works() {
     (0..6).for_each(cycle);
 }
 
-/// 1,000 cycles, or `ZIPSPLAT_CYCLES`: `cargo test --test abi -- --ignored`. Each loads 1 MB of
-/// weights.
+/// 1,000 cycles, or `ZIPSPLAT_CYCLES`, of 1 MB of weights: `cargo test --test abi -- --ignored`.
 #[test]
 #[ignore = "takes minutes"]
 fn memory_stays_flat_over_many_cycles() {

@@ -32,7 +32,6 @@ fn inputs() -> (TempDir, Vec<PathBuf>) {
     (folder, names.to_vec())
 }
 
-/// From Rust, at the default size.
 fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> {
     let side = checkpoint.image_size();
     let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), side, side).expect("a view").image;
@@ -40,7 +39,7 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     rust_scene(checkpoint, &images, &ReconstructOptions::default()).means
 }
 
-/// `message` is the expected output for a number of Gaussians.
+/// `message`: expected output for a number of Gaussians.
 fn assert_reconstructs(example: impl Fn() -> Command, message: impl Fn(usize) -> String) {
     let (folder, photos) = inputs();
     let micro = folder.path().join("micro.safetensors");
@@ -96,7 +95,7 @@ fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     let program = installation().compile(&example("reconstruct.c"), Linking::Sanitized, &[]);
     let [model, scene, picture] =
         ["micro.safetensors", "scene.ply", "picture.png"].map(|name| folder.path().join(name));
-    // Without the validation layer, which leaks.
+    // The validation layer leaks.
     let run = |model: &Path| {
         let mut command = runner(&program);
         command.arg(model).args([&scene, &picture]).args(&photos).env("ZIPSPLAT_VALIDATION", "0");

@@ -44,7 +44,6 @@ impl Case {
         self.run_with(options, false)
     }
 
-    /// `own`: differentiates the renderer's scene.
     fn run_with(&mut self, options: &zs_render_options, own: bool) -> zs_status {
         let (device, scene) = (open_device(), scene_of(&self.scene));
         let renderer = renderer(&device, &scene);
@@ -134,8 +133,7 @@ fn are_rusts_bits() {
     }
 }
 
-/// Perturbs the largest element of each kind. Slopes include the motion of the edge at alpha 1/255,
-/// gradients do not.
+/// Of the largest element by kind. Only slopes include the motion of the edge at alpha 1/255.
 #[test]
 fn are_slopes_of_pictures() {
     let options = options(zs_depth_mode::ZS_DEPTH_MODE_ACCUMULATED);

@@ -1,4 +1,4 @@
-//! `zipsplat.h` is written by hand: it declares the interface of the sources and documents it.
+//! `zipsplat.h` is written by hand: it declares and documents the interface of the sources.
 
 use cbindgen::{Builder, Config, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")
 }
 
-/// Lines of the header between its macros and its end.
+/// The lines between its macros and its end.
 pub fn header() -> String {
     let text = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
     let (_, rest) = text.split_once("extern \"C\" {\n#endif\n").expect("the begin of its declarations");
@@ -37,7 +37,6 @@ pub fn header() -> String {
     declarations.to_owned()
 }
 
-/// C declarations of a source.
 fn exported(source: &str) -> Vec<String> {
     let path = root().join(format!("engine/bindings/c/src/{source}.rs"));
     let text = std::fs::read_to_string(&path).expect("a source");
@@ -59,7 +58,7 @@ fn exported(source: &str) -> Vec<String> {
     let bindings = Builder::new().with_config(config).with_src(path).generate().expect("a source that parses");
     bindings.write(&mut generated);
     let generated = String::from_utf8(generated).expect("text");
-    // Fields hold enumerations as integers, whose type has the enumeration's name and `_value`.
+    // Integer fields of an enumeration have its name and `_value`.
     let generated = generated.replace("_value ", " ").replace("_value;", ";");
     declarations(&generated)
         .into_iter()

@@ -21,7 +21,7 @@ pub fn installation() -> &'static Installation {
     static INSTALLATION: OnceLock<Installation> = OnceLock::new();
     INSTALLATION.get_or_init(|| {
         let prefix = Path::new(env!("CARGO_TARGET_TMPDIR")).join("abi");
-        // Not `current_exe`: under an explicit dynamic loader it names the loader.
+        // Under an explicit dynamic loader, `current_exe` names the loader.
         let test = PathBuf::from(std::env::args_os().next().expect("the test's own path"));
         let mut install = Command::new(root().join("tools/install.sh"));
         install.arg(&prefix).env("ZIPSPLAT_LIBS", test.parent().expect("a folder"));
@@ -65,7 +65,6 @@ impl Installation {
     }
 }
 
-/// With the tests' dynamic loader and driver.
 pub fn runner(program: &Path) -> Command {
     let triple = format!("{}_UNKNOWN_LINUX_GNU", std::env::consts::ARCH.to_uppercase());
     match std::env::var_os(format!("CARGO_TARGET_{triple}_RUNNER")) {

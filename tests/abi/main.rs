@@ -1,8 +1,7 @@
 //! The C ABI, from C, C++ and Python.
 //!
-//! Unless stated otherwise, `unsafe` calls are sound because handles are live or NULL, structures
-//! have their size set, strings are terminated, arrays have their stated lengths, and all of them
-//! outlive the call.
+//! Unless stated otherwise, `unsafe` calls are sound: handles are live or NULL, structures have
+//! their size set, strings end, arrays have their stated lengths, and all outlive the call.
 #![allow(unsafe_code)]
 
 mod arguments;

@@ -24,7 +24,7 @@ fn kernels_that_fail_their_test_are_named() {
         Ok(found) => assert_eq!(found, (fast, String::new())),
         Err(_) => return eprintln!("not tested: {}", message()),
     }
-    // Simulates failed kernels that `fast` can do without.
+    // Simulates failed kernels that fp16 can do without.
     let files: Vec<_> =
         fs::read_dir(cache.path().join("self-test")).unwrap().map(|file| file.unwrap().path()).collect();
     let [file] = &files[..] else { panic!("results of one test: {files:?}") };

@@ -107,7 +107,7 @@ fn options_and_cameras_give_rusts_scene() {
         let expected = bits(&rust_scene(&checkpoint(), &photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }
-    // Another scale, by an exact power of two.
+    // Scales by an exact power of two.
     let mut far: Vec<_> = c_cameras.clone();
     far.iter_mut().flat_map(|camera| &mut camera.translation).for_each(|x| *x *= 4.0);
     let options = |cameras: &[zs_camera], scene_scale| zs_reconstruct_options {

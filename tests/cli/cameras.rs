@@ -7,7 +7,7 @@ use zipsplat::types::{Camera, Scene, median, poses::CaptureView, quaternion_from
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
 
-/// Version-dependent options in COLMAP 3's help.
+/// Version-dependent options of COLMAP 3's help.
 pub const OPTIONS_3: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
     "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
@@ -20,7 +20,7 @@ const OPTIONS_4: [&str; 3] = [
 ];
 pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 
-/// 4 photos in `@/place/images`, without their cameras.
+/// Four photos without their cameras.
 pub fn place() -> (Folder, Vec<CaptureView>) {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 42x28 -o @/place").success();
@@ -51,7 +51,7 @@ esac
     folder.script(name, &text);
 }
 
-/// In text, under COLMAP's photo names, with a distorted lens and points.
+/// Under COLMAP's photo names, with a distorted lens and points.
 pub fn model(at: &Path, frames: &[(&str, &Camera)]) {
     fs::create_dir_all(at).expect("a folder");
     let (mut cameras, mut images) = (String::new(), String::new());

@@ -128,7 +128,6 @@ pub fn cancelled_when(line: &str, ready: impl Fn() -> bool + Sync) -> Outcome {
     })
 }
 
-/// Completely written.
 pub fn is_written(pid: &Path) -> bool {
     std::fs::read_to_string(pid).is_ok_and(|pid| pid.ends_with('\n'))
 }
@@ -199,7 +198,7 @@ fn ignores_that_it_should_end() {
     std::thread::sleep(Duration::from_secs(60));
 }
 
-/// A video is partially written on return.
+/// A video is partially written.
 fn filming() -> (Folder, Child) {
     let folder = Folder::new();
     folder.scatter("scene.ply", 300, 0, 0.1);
@@ -208,7 +207,6 @@ fn filming() -> (Folder, Child) {
     (folder, child)
 }
 
-/// With default signal handlers.
 fn started(name: &str, folder: &Folder) -> Child {
     child(name, &folder.path(""), "set -- env --default-signal \"$@\"").spawn().expect("bash")
 }
@@ -256,7 +254,7 @@ fn a_second_signal_ends_the_programs_that_run() {
     wait_until(&mut child, || is_written(&pid));
     send("-TERM", &child);
     send("-INT", &child);
-    // The first signal may have ended it in order before the second one came.
+    // The first signal may have ended it in order.
     let code = child.wait().expect("it ends").code();
     assert!([Some(0), Some(130)].contains(&code), "{code:?}");
     assert_ends(&pid);

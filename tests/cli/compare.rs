@@ -10,7 +10,6 @@ fn gray(value: u8, width: u32, height: u32) -> Image {
     Image { width, height, rgb: vec![value; 3 * (width * height) as usize], mask: None }
 }
 
-/// Two pairs and one unpaired picture.
 fn folder() -> Folder {
     let folder = Folder::new();
     for name in ["a", "b"] {
@@ -26,7 +25,7 @@ fn folder() -> Folder {
 #[test]
 fn two_pictures_are_compared() {
     let folder = folder();
-    // 51 of 255 levels are 0.2, and 20 log10(5) dB.
+    // 51 of 255 levels are 0.2.
     let json = folder.run("eval @/a/one.png @/b/one.png --lpips none --json").json();
     let row = &json["pictures"][0];
     assert!((row["psnr"].as_f64().expect("dB") - 13.979).abs() < 1e-3, "{row}");
@@ -46,7 +45,6 @@ fn folders_are_compared_by_name() {
     assert!(outcome.err.contains("1 picture without a partner") && outcome.err.contains("three"), "{}", outcome.err);
     let json = outcome.json();
     assert_eq!(json["pictures"].as_array().expect("rows").len(), 2);
-    // Infinite PSNR does not count.
     assert_eq!(json["mean"]["psnr"], json["pictures"][0]["psnr"]);
     let csv = folder.text("scores.csv");
     assert!(csv.starts_with("name,psnr,ssim,lpips\n") && csv.lines().count() == 3, "{csv}");

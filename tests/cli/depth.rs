@@ -124,7 +124,6 @@ fn a_network_that_finds_no_cameras_is_named() {
     cameras("--weights @/da3.safetensors").fails(3, &["--weights", "--method da3"]);
     folder.run("refine @/photos --cameras da3 --init points -o @/s.ply").fails(3, &["--depth-weights", "no weights"]);
     folder.run("refine @/s.ply @/photos --cameras da3 -o @/t.ply").fails(3, &["--cameras da3", "--init points"]);
-    // Random rays are inconsistent.
     let rays = format!("--method da3 {WEIGHTS} --matching-size 64 --camera-source rays");
     cameras(&rays).fails(3, &["rays that agree on a camera", "at least half"]);
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);

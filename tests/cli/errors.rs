@@ -2,7 +2,6 @@ use crate::{Folder, zipsplat};
 use zipsplat::types::poses::write_transforms;
 use zipsplat_tests::scenes;
 
-/// The folder stays unchanged.
 #[track_caller]
 fn refused(folder: &Folder, line: &str, code: u8, words: &[&str]) {
     let before = folder.names();
@@ -46,7 +45,7 @@ fn photos() {
     ] {
         folder.write(name, start);
         let advice = folder.line(advice);
-        // A video goes to ffmpeg.
+        // ffmpeg reads videos.
         if !kind.contains("video") {
             refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[name, kind, &advice]);
         }
@@ -140,7 +139,6 @@ fn remedies_are_named() {
     assert_eq!((outcome.code, outcome.err.lines().count()), (3, 1), "{}", outcome.err);
 }
 
-/// New spellings are aliases of the future options.
 #[test]
 fn new_names_are_aliases() {
     let folder = Folder::new();
@@ -340,7 +338,7 @@ fn outputs() {
     refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
     folder.scatter("scene.ply", 5, 0, 0.1);
     refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
-    // Reported before missing weights or scenes.
+    // Before missing weights or scenes.
     for (line, named) in [
         ("reconstruct @/photos --weights @/absent.safetensors -o /proc/out.ply", "/proc/out.ply: "),
         ("render @/absent.ply --wiggle -o /proc/out", "/proc/out: "),
@@ -353,7 +351,6 @@ fn outputs() {
     }
 }
 
-/// Earlier spellings still work.
 #[test]
 fn earlier_names_of_options() {
     let folder = Folder::new();

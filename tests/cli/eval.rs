@@ -20,8 +20,7 @@ fn picture(value: impl Fn(usize, usize, usize) -> f64) -> Vec<f32> {
     pixels.flat_map(|(x, y)| [0, 1, 2].map(|c| value(x, y, c) as f32)).collect()
 }
 
-/// scikit-image 0.26.0: `peak_signal_noise_ratio`, and `structural_similarity` with `win_size=11`
-/// and `gaussian_weights=True`.
+/// scikit-image 0.26.0: `structural_similarity` with `win_size=11` and `gaussian_weights=True`.
 #[test]
 fn metrics_are_those_of_scikit_image() {
     let rough = |k: usize| picture(|x, y, c| ((x * x * 3 + y * (7 + k) + x * y * k + c * 29) % 97) as f64 / 96.0);
@@ -40,7 +39,6 @@ fn metrics_are_those_of_scikit_image() {
     }
 }
 
-/// 6 photos in `@/place`.
 fn place() -> Folder {
     let folder = Folder::new();
     folder.run("scene --seed 5 --views 6 --size 42x28 -o @/place").success();
@@ -242,7 +240,7 @@ fn pictures_without_cameras_are_aligned() {
     let columns = "view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips,unaligned_psnr,unaligned_ssim,\
         rotation_error_deg,translation_error,warning";
     assert_eq!(csv.lines().next(), Some(columns));
-    // Random weights: the report warns.
+    // Random weights.
     let text = folder.run(&format!("eval @/place --views 2 --targets 2 {options} --pose-free"));
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);
     assert!(text.out.contains("degrees") && text.out.contains("warning"), "{}", text.out);

@@ -10,8 +10,8 @@ fn world() -> Pose {
     Pose { rotation, translation: DVec3::new(4.0, -2.0, 7.0) }
 }
 
-/// Without sky, in `@/place`, whose cameras have their own world, and its scene in the first
-/// camera's space at a third of the scale.
+/// Without sky, in `@/place`, with cameras in their own world and a scene in the first camera's, at
+/// a third of the scale.
 fn place(folder: &Folder) -> (Scene, Vec<Camera>) {
     folder.run("scene --seed 9 --views 8 --size 56x56 --splats -o @/place").success();
     let frames = folder.capture("place").frames;
@@ -46,7 +46,7 @@ fn evaluate(folder: &Folder, options: &str) -> f64 {
 fn a_scene_is_judged_alike_in_every_layout() {
     let folder = Folder::new();
     let (scene, cameras) = place(&folder);
-    // The cameras' world (3DGS, brush), the first camera's (pose-free systems), its axes alone
+    // Worlds: the cameras' (3DGS, brush), the first camera's (pose-free systems), its axes alone
     // (DepthSplat).
     save(&folder, "cameras.ply", &scene, LENGTH, &world());
     save(&folder, "first.ply", &scene, 1.0, &Pose::IDENTITY);
@@ -153,7 +153,6 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
         start += count;
     }
     assert_eq!((at, json["gaussians"].as_u64()), (made.len(), Some(made.len() as u64)));
-    // Pixels stay where the network sees them.
     let psnr = |json: &serde_json::Value| json["mean"]["psnr"].as_f64().expect("dB");
     let [whole, small] = ["84x56", "28x28"].map(|size| {
         let json = folder.run(&format!("{line} --input-size {size} --eval-size 28x28 --json")).json();

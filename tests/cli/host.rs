@@ -38,7 +38,7 @@ pub fn sha256(bytes: &[u8]) -> String {
 }
 
 impl Host {
-    /// With the faults `acts` for the first requests.
+    /// `acts` are the first requests' faults.
     pub fn new(file: Vec<u8>, acts: &[Act]) -> Self {
         let [hub, storage] = [0, 1].map(|_| TcpListener::bind("127.0.0.1:0").expect("a port"));
         let port = |listener: &TcpListener| listener.local_addr().expect("an address").port();

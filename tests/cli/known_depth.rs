@@ -6,7 +6,7 @@ use zipsplat::Scene;
 
 const PHOTOS: &str = "@/place/images --cameras @/place/transforms.json";
 
-/// 6 photos in `@/place`, with exact depth in `@/place/depth`.
+/// Exact depth is in `@/place/depth`.
 fn place() -> Folder {
     let folder = Folder::new();
     folder.run("scene --seed 5 --views 6 --size 42x28 -o @/place").success();
@@ -69,7 +69,7 @@ fn known_depth_joins_the_loss() {
         save_exr(&folder.path(&format!("exr/{i:03}.exr")), [("distance", values)]);
     }
     assert!(refined("--depth-loss @/exr").0 > 0.5 && folder.read("scene.ply") != metric);
-    // As nerfstudio lists it.
+    // As in nerfstudio.
     let listed = folder.text("place/transforms.json");
     let name = |i: usize| format!("\"file_path\": \"images/{i:03}.png\"");
     let with_depth = |text: String, i: usize| {

@@ -123,7 +123,7 @@ impl Folder {
         self
     }
 
-    /// Adds weights of VGGT, `vggt.safetensors`, and of ZipSplat on VGGT, `tokens.safetensors`.
+    /// `vggt.safetensors` of VGGT, `tokens.safetensors` of ZipSplat on VGGT.
     fn with_vggt(self) -> Self {
         let maps = (8, [8, 8, 8, 8]);
         let architecture = DepthArchitecture::vggt("vggt-micro", 64, [1, 4], [0, 1, 2, 3], maps);

@@ -6,7 +6,7 @@ use crate::{
 };
 use zipsplat::types::{Camera, Image, Intrinsics, poses::CaptureView};
 
-/// `$n` in `body` is the attempt; `found` are the expected photo counts.
+/// `$n` in `body` is the attempt; `found` are expected photo counts.
 fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
     let (folder, frames) = place();
     let options = [

@@ -1,10 +1,8 @@
-//! Masks of photos in commands.
-
 use crate::{Folder, zipsplat};
 use image::{GrayImage, RgbImage, RgbaImage};
 use zipsplat::types::{Image, Scene};
 
-/// 10 photos in `@/place`, and masks of their left thirds in `@/masks`.
+/// Masks hide the left thirds of 10 photos.
 fn place() -> Folder {
     let folder = Folder::new();
     folder.run("scene --seed 5 --views 10 --size 42x28 -o @/place").success();
@@ -46,7 +44,7 @@ fn masked_pixels_have_no_influence() {
             .expect("a photo");
         (0..14 * 28).for_each(|at| photo.put_pixel(at % 14, at / 14, image::Rgb([255, (at % 256) as u8, 0])));
         photo.save(folder.path(&format!("other/{i:03}.png"))).expect("a photo");
-        // As COLMAP names it, with 0 for the pixels to keep.
+        // COLMAP's name, with 0 for the pixels to keep.
         let inverted = GrayImage::from_fn(42, 28, |x, _| image::Luma([if x < 14 { 7 } else { 0 }]));
         folder.make("inverted");
         inverted.save(folder.path(&format!("inverted/{i:03}.png.png"))).expect("a mask");
@@ -64,7 +62,6 @@ fn masked_patches_have_no_gaussians() {
     let folder = place();
     let line = "reconstruct @/place/images --cameras @/place --weights @/micro.safetensors --input-size 42x28";
     let json = folder.run(&format!("{line} --masks @/masks -o @/scene.ply --json")).json();
-    // One of three columns of patches.
     assert_eq!((json["tokens"].as_u64(), json["unmasked_tokens"].as_u64()), (Some(60), Some(40)), "{json}");
     let each = json["gaussians_per_token"].as_u64().expect("a number");
     assert_eq!(json["gaussians"].as_u64(), Some(40 * each));

@@ -15,7 +15,6 @@ fn ordered(ms: &Value) -> bool {
     0.0 <= number("min") && number("min") <= number("median") && number("median") <= number("max")
 }
 
-/// Plausible exactly where expected.
 fn shared(share: &Value, expected: bool) -> bool {
     // On a busy machine the measured limit may be too low.
     share.as_f64().map_or(share.is_null() && !expected, |share| expected && share > 0.0 && share < 20.0)
@@ -34,7 +33,6 @@ fn limits_are_measured_by_work_that_is_done() {
             row["per_s"].as_f64().is_some_and(|rate| rate > 0.0 && rate.is_finite()) && ordered(&row["ms"]),
             "{row}"
         );
-        // Exact in any summation order.
         assert_eq!(row["difference"], 0.0, "{row}");
     }
     let text = Folder::new().run("bench peak --warmup 0 --repeats 1").success();
@@ -98,7 +96,7 @@ fn a_step_is_measured_beside_its_picture() {
     Folder::new().run("bench refine --pytorch=no-such-python").fails(3, &["--pytorch", "no-such-python", "numba"]);
 }
 
-/// One Python prints its request as a result, one fails.
+/// One Python prints its request, one fails.
 #[cfg(unix)]
 #[test]
 fn pytorch_stands_beside_ours() {
@@ -160,8 +158,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
     // Per number of photos: all tokens, and half of them by three selections, twice, in each
-    // arithmetic. First values are also refined twice and run with rounded weights twice. Points
-    // are refined once.
+    // arithmetic. First values are also refined twice and rounded twice, points refined once.
     let has = |precision: &Precision| Arithmetic::of(*precision, device().limits()).is_some();
     let arithmetics = Precision::ALL.iter().filter(|precision| has(precision)).count();
     assert_eq!(points.len(), 2 * (1 + 3) * 2 * arithmetics + 2 * 2 * 2 + 2 * 2 * 2 + 2);
@@ -202,7 +199,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         if !is_exact && point["token_selection"] == "all" {
             assert!(number("psnr_to_fp32").is_nan() || number("psnr_to_fp32") > 40.0, "{point}");
         }
-        // Roundings of 24, 11 and 8 bits through three blocks.
+        // Roundings of 24, 11 and 8 bits.
         let most = match (point["precision"].as_str(), point["weights"].as_str()) {
             (Some("fp32"), Some("own")) => 1e-5,
             (Some("fp32"), Some("f16")) | (Some("fp16"), _) => 1e-2,
@@ -308,6 +305,6 @@ python3 -c 'import json, sys; code, out, err = json.load(open("outcome")); print
     assert!(names.iter().all(|name| results[name]["failed"].is_null()), "{results}");
     let tables = folder.text("report/tables.md");
     let rows = |start: &str| tables.lines().filter(|line| line.starts_with(start)).count();
-    // Three ratios of each number of views, two pools, one in fp32.
+    // Three ratios per number of views, two pools, one in fp32.
     assert_eq!((rows("| 1 | "), rows("| 2 | "), rows("| 200 | "), rows("| 102,000 | ")), (4, 5, 1, 1), "{tables}");
 }

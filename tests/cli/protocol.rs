@@ -12,7 +12,7 @@ const SMALLER: u32 = 4;
 const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 const OPTIONS: &str = "--weights @/micro.safetensors --input-size 28x28 --lpips none";
 
-/// 12 photos of 84x56 in `@/place`.
+/// 12 photos of 84x56.
 fn place(folder: &Folder, seed: u32) -> Vec<CaptureView> {
     folder.run(&format!("scene --seed {seed} --views 12 --size 84x56 -o @/place")).success();
     folder.capture("place").frames
@@ -137,7 +137,6 @@ fn every_layout_gives_the_same_figures() {
     assert!(outcome.code == 1 && outcome.err.contains("almost pinholes"), "{}", outcome.err);
 }
 
-/// 12 photos each, in `@/data`.
 fn two_scenes(folder: &Folder) {
     for (scene, seed) in [("data/one", 5), ("data/two", 6)] {
         dl3dv(folder, scene, &place(folder, seed), 0.0);
@@ -278,7 +277,6 @@ fn tokens_are_refined_until_they_converge() {
     let names: Vec<&Value> = converged["means"].as_array().expect("means").iter().map(|line| &line[0]).collect();
     assert!(names.contains(&&json!("micro + TTO")) && names.contains(&&json!("micro + TTO, converged")), "{names:?}");
     assert_eq!((&few["evaluated"], &converged["evaluated"]), (&json!(2), &json!(2)));
-    // Each doubling gains much from points.
     let points = "eval @/place --views 3 --weights @/micro.safetensors --input-size 28x28 --lpips none --json";
     let steps = |options: &str| {
         folder.run(&format!("{points} --refine 2 --init points {options}")).json()["refined"]["steps"].clone()

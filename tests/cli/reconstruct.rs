@@ -4,7 +4,6 @@ use zipsplat::types::{Camera, Intrinsics, Pose, Scene, poses::write_transforms, 
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::{photos::with_orientation, scenes::scene_extensions};
 
-/// Also cameras of both photos in `c.json`.
 fn with_cameras() -> Folder {
     let folder = Folder::new();
     let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
@@ -166,7 +165,7 @@ fn cropping_much_is_said() {
     assert_eq!(run("--input-size 56x42"), "");
 }
 
-/// Only the trained size is good: the warning suggests no other.
+/// Only the trained size is good.
 #[test]
 fn another_size_than_the_trained_one_is_said() {
     let folder = Folder::new();
@@ -238,7 +237,7 @@ fn photos_with_cameras_are_taken_as_stored() {
         folder.run(&line).success();
         read_ply(folder.path("s.ply")).expect("the scene can be read")
     };
-    // By 90 and by 180 degrees.
+    // 90 and 180 degrees.
     for orientation in [6, 3] {
         let turned = with_orientation(&jpeg, orientation);
         assert!(
@@ -264,7 +263,7 @@ fn photos_without_cameras_are_left_out_and_named() {
     let left = scene();
     folder.run(&format!("reconstruct @/photos/3.png @/photos/5.png {line}")).success();
     assert!(scene() == left, "the same photos");
-    // Dropped before views are selected.
+    // Before views are selected.
     assert_eq!(folder.run(&format!("reconstruct @/photos {line} --views 2")).json()["views"], 2);
     let line = line.replace(" --json", "");
     folder.run(&format!("reconstruct @/photos/1.png {line}")).fails(3, &["camera of", "1.png", "3.png"]);
@@ -340,7 +339,7 @@ fn pictures_are_those_of_the_two_commands_one_after_the_other() {
         for name in &found {
             let read = |at: &str| image::open(folder.path(&format!("{at}-{i}")).join(name)).unwrap().into_rgb16();
             let (at_once, after) = (read("at-once"), read("after"));
-            // Rounding of logs and logits may move a value to the next level.
+            // Rounding of logs and logits may move a value by a level.
             let level = if name.contains("depth") { 1 } else { 257 };
             let most = at_once.as_raw().iter().zip(after.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
             assert!(most <= Some(level), "{name:?}: {most:?}");

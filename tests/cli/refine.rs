@@ -5,7 +5,6 @@ use std::{
 };
 use zipsplat::types::{Origin, Scene, World, read_world};
 
-/// 10 photos in `@/place`.
 fn place() -> Folder {
     let folder = Folder::new();
     folder.run("scene --seed 5 --views 10 --size 42x28 -o @/place").success();
@@ -230,7 +229,7 @@ fn reconstructions_are_refined() {
         assert!(text.contains("against 9 photos"), "{text}");
         assert_eq!(text.contains("tokens"), start == "scene", "{text}");
     }
-    // A pass of the network takes 192 photos.
+    // More than a pass takes.
     let many = PHOTOS.replace("@/place/images", &["@/place/images"; 20].join(" "));
     let text = folder.run(&format!("reconstruct {many} --refine=2 --init points -o @/many.ply")).success();
     assert!(text.contains("against 199 photos"), "{text}");

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use zipsplat::types::{Camera, Image, Pose, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
-/// `scene.ply` and three cameras, the first and last wider than the second.
 fn folder() -> Folder {
     let folder = Folder::new();
     folder.scatter("scene.ply", 200, 1, 0.2);
@@ -119,7 +118,7 @@ fn paths_have_as_many_pictures_as_asked() {
         let files = contents(&folder, path);
         assert_eq!(files.len(), 6);
         let pictures: std::collections::BTreeSet<_> = files.values().collect();
-        // A wiggle passes its center twice; the first picture does not repeat at the end.
+        // A wiggle passes its center twice.
         assert!(pictures.len() >= 5, "{} different pictures", pictures.len());
     }
 }
@@ -171,7 +170,6 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     );
 }
 
-/// In another scale.
 #[test]
 fn a_scene_can_be_in_the_world_of_its_cameras() {
     let folder = folder();
@@ -212,7 +210,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     }
     assert_eq!(folder.run("reconstruct @/place/images --world input-cameras -o @/x.ply").code, 2);
 
-    // The same photos in another reconstruction's world, by name alone: aligned, and said so.
+    // Another reconstruction's world, by name alone: aligned, and said so.
     write_transforms(folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
         .expect("cameras");
     for scene in ["first", "own"] {
@@ -223,7 +221,6 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
             contents(&folder, "other").into_keys().map(|f| picture(&folder, &format!("other/{f}"))).collect();
         close(&first, &other);
     }
-    // A mirrored world.
     let mirrored = poses.frames.iter().map(|frame| {
         let center = frame.camera.pose.translation;
         Camera { pose: Pose { translation: -center, ..frame.camera.pose }, ..frame.camera }

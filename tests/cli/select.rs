@@ -24,7 +24,6 @@ pub fn objects(folder: &Folder) -> Scene {
     scene
 }
 
-/// A picture whose left part has one value, and the rest another.
 pub fn picture(folder: &Folder, name: &str, [left, right]: [u8; 2]) {
     let path = folder.path(name);
     std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
@@ -56,7 +55,7 @@ fn masks_and_clicks_select_an_object() {
     assert_eq!(selected(&format!("--masks @/masks {features} --threshold 0.9")).means, scene.means[..100]);
 }
 
-/// Mean intersection over union of the labels that the pixels of `truth` have.
+/// Mean intersection over union of the labels in `truth`.
 fn mean_iou(found: &[u8], truth: &[u8]) -> f64 {
     let counted = |label: u8| {
         let pairs = found.iter().zip(truth).filter(|(_, truth)| **truth != 255);
@@ -97,7 +96,7 @@ fn labels_of_some_photos_are_those_of_others() {
         truth.extend(labels.into_raw().into_iter().map(|label| if label < 12 { label } else { 255 }));
     }
     let iou = mean_iou(&found, &truth);
-    // Borders are a large part of such small pictures.
+    // Borders are a large part of small pictures.
     assert!(iou > 0.75, "{iou:.3}");
 }
 
@@ -111,7 +110,6 @@ fn a_networks_patch_tokens_are_lifted() {
     assert_eq!((&json["photos"], &json["channels"]), (&3.into(), &width.into()));
     let scene = Scene::open(folder.path("place/splats.ply")).expect("a scene");
     assert_eq!(json["rows"], scene.len());
-    // The network sees the middle of each photo.
     let seen = json["seen"].as_u64().expect("a number") as usize;
     assert!(seen > scene.len() / 4 && seen < scene.len(), "{seen} of {}", scene.len());
     folder.run(&format!("{line} --labels 3 -o @/x.safetensors")).fails_usage();
@@ -128,7 +126,6 @@ fn depth_networks_patch_tokens_are_lifted() {
             folder.run(&format!("{line} --cameras @/place/transforms.json -o @/f.safetensors --json --overwrite"));
         let json = json.json();
         assert_eq!((&json["photos"], &json["channels"]), (&2.into(), &width.into()), "{weights}");
-        // These networks see whole photos.
         let seen = json["seen"].as_u64().expect("a number") as usize;
         assert!(seen > scene.len() / 2, "{weights}: {seen} of {}", scene.len());
     }

@@ -5,7 +5,7 @@ use std::{fs::File, io::BufReader, sync::atomic::AtomicBool};
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms};
 use zipsplat_tests::scenes;
 
-/// Scene, and three cameras of one size (`cameras.json`) and of several (`sizes.json`).
+/// Three cameras are of one size (`cameras.json`), or several (`sizes.json`).
 fn folder() -> Folder {
     let folder = Folder::new();
     folder.scatter("scene.ply", 200, 1, 0.2);

@@ -1,4 +1,4 @@
-//! Photos from videos, by fake ffmpeg programs or an installed one.
+//! Videos, by fake ffmpeg programs or an installed one.
 #![cfg(unix)]
 
 use crate::{
@@ -95,7 +95,6 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
         let json = folder.run(&line).json();
         assert_eq!((json["photos"].as_u64(), json["registered"].as_u64()), (Some(5), Some(1)), "{json}");
     }
-    // A playlist must not read other files.
     folder.write("list.mp4", "ffconcat version 1.0\nfile plain.mp4\n");
     let line = "cameras @/list.mp4 --views 5 --colmap @/colmap -o @/list.json --overwrite";
     folder.run(line).fails(3, &["list.mp4", "ffmpeg cannot read it"]);

@@ -119,7 +119,7 @@ fn photos_become_scenes_of_several_ratios() {
     assert_eq!(view("--ratios 0.5 --max-gaussians-per-token 2 --json").json()["gaussians"], serde_json::json!([16]));
 }
 
-/// Least and largest cosine similarity of signed rows, within the first half and across.
+/// Least and largest of signed rows, within the first half and across.
 fn similarities(rows: &[&[u8]]) -> [[f64; 2]; 2] {
     let dot = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| f64::from(*a as i8) * f64::from(*b as i8)).sum::<f64>();
     let cosine = |a: &[u8], b: &[u8]| dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();
@@ -138,7 +138,6 @@ fn a_page_has_the_features_that_it_is_given() {
     write_ply(&scene, folder.path("scene.ply")).expect("a scene can be written");
     select::picture(&folder, "labels/a.png", [18, 2]);
     select::picture(&folder, "labels/b.png", [18, 2]);
-    // More channels than a page has.
     folder.run("lift @/scene.ply @/labels --labels 20 --cameras @/cameras.json -o @/labels.safetensors").success();
     let page = |options: &str| {
         folder.run(&format!("view @/scene.ply {options} -o @/page.html --overwrite")).success();
@@ -153,7 +152,6 @@ fn a_page_has_the_features_that_it_is_given() {
     let [within, across] = similarities(&bytes.chunks(16).collect::<Vec<_>>());
     assert!(within[0] > 0.99 && across[1].abs() < 0.01, "{within:?} {across:?}");
 
-    // A server sorts.
     served(&folder.line("zipsplat view @/scene.ply --features @/labels.safetensors"), |port, path| {
         let get = |asked: &str| ask(port, &format!("GET {path}{asked} HTTP/1.1\r\nHost: 127.0.0.1:{port}"));
         let sources = scene.edit(&[Edit::Sort], &[]).expect("a scene").sources;
@@ -253,7 +251,7 @@ pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
         while !text.contains('\n') {
             text += &String::from_utf8_lossy(&printed.recv().expect("an address is printed"));
         }
-        // A failing test would otherwise wait for the server.
+        // A failing test would otherwise wait.
         let ended = Ended(&cancelled);
         let address = text.lines().next().expect("a line");
         let address = address.strip_prefix("http://127.0.0.1:").expect("this machine");

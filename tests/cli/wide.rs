@@ -12,7 +12,7 @@ use zipsplat::types::{Camera, Image, Lens, Pose};
 const PANOS: &str = "@/place/images --cameras @/place/transforms.json";
 const MICRO: &str = "--weights @/micro.safetensors --input-size 28x28";
 
-/// Photos of 64x32 in `@/place`, with 8 views each.
+/// Photos of 64x32 with 8 views each.
 fn panoramas(count: usize) -> Folder {
     let folder = Folder::new();
     let size = "--size 32x32 --camera-model equirectangular --wide-size 64x32";
@@ -89,7 +89,6 @@ fn optimized_views_are_written_and_read() {
         .success();
 }
 
-/// 0 in the rows from `edge`.
 fn mask(folder: &Folder, name: &str, edge: u32) {
     folder.make("masks");
     let mask = GrayImage::from_fn(64, 32, |_, y| image::Luma([if y < edge { 255 } else { 0 }]));
@@ -158,7 +157,7 @@ fn photo_spheres_are_cut_into_photos() {
     assert!(outcome.err.contains("into 14 pinhole photos"), "{}", outcome.err);
     let json = outcome.json();
     assert!(json["unmasked_tokens"].as_u64() < json["all_tokens"].as_u64(), "{json}");
-    // Other photos by a switch, which is the last word.
+    // The switch is the last word.
     let line = format!("reconstruct @/place/images {micro} {small} -o @/other.ply --json --camera-model");
     assert_eq!(folder.run(&format!("{line} equirectangular --views 1")).json()["views"], 8);
     let line = format!("reconstruct @/spheres {micro} {small} -o @/flat.ply --json --camera-model pinhole");

@@ -6,12 +6,11 @@ use std::{env, fs};
 use super::{Float, Tolerance};
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
-/// Limit on a picture's deviation per value, `absolute + relative * |truth|`.
+/// Limit of the deviation per value, `absolute + relative * |truth|`.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageTolerance {
     /// In the picture's unit.
     pub absolute: f64,
-    /// Relative to the true value.
     pub relative: f64,
     /// In dB against the truth's range; 0 disables it.
     pub psnr: f64,
@@ -33,8 +32,7 @@ impl ImageTolerance {
     /// f64 against truth stored in f32.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
 
-    /// Returns the tolerance of a faster arithmetic. Gaussians of similar depth may swap: single
-    /// pixels are unbounded.
+    /// For a faster arithmetic. Gaussians of similar depth may swap: single pixels are unbounded.
     pub fn of_network(arithmetic: Arithmetic) -> Self {
         let coarser = Tolerance::factor_rounding(arithmetic) / Element::F16.roundoff();
         Self { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 - 20.0 * coarser.log10() }
@@ -50,7 +48,6 @@ pub struct Picture<'a, T> {
 }
 
 /// Returns the PSNR in dB of the compared pixels; failures save the pictures and the difference.
-///
 /// Nonzero `unstable` pixels (`&[]` for none) only need to be finite.
 #[track_caller]
 pub fn assert_images_close<G: Float, T: Float>(

@@ -15,9 +15,9 @@ impl<T: Copy + Into<f64>> Float for T {}
 
 #[derive(Clone, Copy, Debug)]
 pub struct Deviation {
-    /// Maximum of |got - truth| over the rms of the truth.
+    /// Of |got - truth|.
     pub max: f64,
-    /// Rms of got - truth over the rms of the truth.
+    /// Of got - truth.
     pub rms: f64,
     pub worst: (usize, f64, f64),
     /// Rms of the truth, or 1 for zeros.
@@ -108,7 +108,7 @@ pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], toleran
     assert_close(&name, &kept, &golden.f32(&sub_key), tolerance)
 }
 
-/// Compares [sum, sum |x|, sum x^2] within the Cauchy-Schwarz bound of `tolerance.rms`.
+/// [sum, sum |x|, sum x^2], within the Cauchy-Schwarz bound of `tolerance.rms`.
 #[track_caller]
 fn assert_sums(name: &str, got: &[impl Float], truth: &[f64], tolerance: Tolerance) {
     let values = || got.iter().map(|&x| -> f64 { x.into() });
@@ -124,11 +124,10 @@ fn assert_sums(name: &str, got: &[impl Float], truth: &[f64], tolerance: Toleran
     }
 }
 
-/// Columns of packed Gaussians `[n, 11 + 3K]` by field.
 const GAUSSIAN_FIELDS: [(&str, usize, usize); 4] =
     [("means", 0, 3), ("scales", 3, 6), ("quats", 6, 10), ("opacities", 10, 11)];
 
-/// Packed Gaussians are `[n, width]`, each field relative to its own rms.
+/// `[n, width]`, each field relative to its own rms.
 #[track_caller]
 pub fn assert_gaussians_close(name: &str, got: &[impl Float], truth: &[impl Float], width: usize) {
     assert_gaussians_within(name, got, truth, width, Tolerance::of_field);
@@ -149,7 +148,6 @@ pub fn assert_gaussians_within(
     }
 }
 
-/// Columns `start..end` of rows of `width`.
 pub fn columns(rows: &[impl Float], width: usize, start: usize, end: usize) -> Vec<f64> {
     rows.chunks(width).flat_map(|row| row[start..end].iter().map(|&x| x.into())).collect()
 }
@@ -157,7 +155,7 @@ pub fn columns(rows: &[impl Float], width: usize, start: usize, end: usize) -> V
 /// Relative difference of a tie; f32 rounding is 1e-6.
 const TIE: f64 = 1e-4;
 
-/// Asserts each centroid's nearest token, or the second nearest in a tie.
+/// Each centroid's nearest token, or the second nearest in a tie.
 ///
 /// `top2 [K, 2]` and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
 #[track_caller]
@@ -175,8 +173,7 @@ pub fn assert_nearest(name: &str, got: &[u32], top2: &[i64], gap: &[f32]) {
     }
 }
 
-/// Asserts that representatives are as near to `centroids [K, width]` as any of `tokens [N,
-/// width]`.
+/// Representatives are as near to `centroids [K, width]` as any of `tokens [N, width]`.
 #[track_caller]
 pub fn assert_as_near(name: &str, got: &[u32], centroids: &[impl Float], tokens: &[impl Float], width: usize) {
     assert_eq!(got.len() * width, centroids.len(), "{name}: number of clusters");

@@ -68,13 +68,13 @@ impl Faults {
         std::fs::write(&self.0, format!("{function} {first} {result}")).unwrap();
     }
 
-    /// Returns the number of calls on the last destroyed device.
+    /// Number of calls on the last destroyed device.
     pub fn made(&self) -> u32 {
         let text = std::fs::read_to_string(&self.0).unwrap();
         text.split(' ').nth(1).and_then(|calls| calls.parse().ok()).expect("what the layer wrote")
     }
 
-    /// Returns up to `count` of these calls, with the first and the last.
+    /// At most `count` calls, with the first and the last.
     pub fn calls(&self, count: u32) -> Vec<u32> {
         let last = self.made();
         assert!(last > 0, "never called");

@@ -1,5 +1,4 @@
-//! Bodies of the fuzz targets. A panic, a hang, an allocation of a claimed size or an invalid
-//! result fails.
+//! Fuzz targets. A panic, a hang, an allocation of a claimed size or an invalid result fails.
 
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
@@ -55,8 +54,7 @@ pub fn camera_path(bytes: &[u8]) {
     sound(Capture::open_cameras(stored("cameras.json", bytes), &lens));
 }
 
-/// Reads a COLMAP model with files of `extension`. The first two bytes are the length of the images
-/// file.
+/// A COLMAP model with files of `extension`. The first two bytes are the images file's length.
 pub fn colmap(extension: &str, bytes: &[u8]) {
     let Some(([low, high], rest)) = bytes.split_first_chunk::<2>().map(|(length, rest)| (*length, rest)) else {
         return;

@@ -9,7 +9,7 @@ use zipsplat_tests::reference::render::{normals, project, rasterize};
 
 const SIZE: [usize; 2] = [70, 53];
 
-/// Also returns the pixels that rounding decides.
+/// Also returns pixels that rounding decides.
 fn blended(scene: &Scene, camera: &Camera, value: impl Fn(usize) -> [f64; 3]) -> (Vec<f64>, Vec<u8>) {
     let mut splats = project::project(&reference_gaussians(scene), &reference_camera(camera), false);
     for (i, splat) in splats.iter_mut().enumerate() {
@@ -166,7 +166,7 @@ fn antialiased_scenes_are_drawn_as_such_unless_options_differ() {
     assert_ne!(on, off);
     assert_eq!((draw(&plain, None), draw(&tagged, None)), (off.clone(), on));
     assert_eq!(draw(&tagged, Some(false)), off);
-    // The renderer keeps memory and plans of an equally large scene.
+    // Memory and plans of an equally large scene are kept.
     let mut renderer = Renderer::new(device());
     let mut next =
         |scene: &Scene| renderer.render_scene(scene, &[camera], &RenderOptions::default()).unwrap().remove(0);

@@ -1,4 +1,4 @@
-//! Pictures of networks in faster arithmetics against f32.
+//! Pictures of networks in faster arithmetics, against f32.
 
 use zipsplat_tests::networks::{images, model};
 use zipsplat_tests::prelude::*;
@@ -14,7 +14,6 @@ fn scene_of(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
 #[test]
 fn every_arithmetic_gives_the_same_pictures() {
     let mut renderer = Renderer::new(device());
-    // From in front of and behind the Gaussians of random networks.
     let mut cameras = [camera(96, 96), camera(96, 96)];
     cameras[1].pose.translation.z = -4.0;
     for config in ["micro.v2", "tiny.v3", "tiny_swiglu.v3", "small.v2"] {

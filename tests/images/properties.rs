@@ -4,7 +4,6 @@ use crate::render::{ALL, bits, render};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::render::rasterize;
 
-/// From specks to splats larger than the picture.
 fn cases() -> impl Iterator<Item = (Scene, Camera)> {
     let poses = [(0.0, 0.0, 0.0), (0.3, 0.1, -0.2), (-0.5, -0.2, 0.4), (0.1, 2.9, 4.0)];
     let sizes = [(0.02, 90, 61), (0.1, 64, 64), (0.5, 33, 100), (3.0, 128, 17)];
@@ -37,7 +36,7 @@ fn the_order_of_gaussians_changes_nothing() {
 #[test]
 fn the_scale_of_the_world_cancels() {
     for (mut scene, camera) in cases() {
-        // The near plane does not scale, so the scene avoids it.
+        // The near plane does not scale.
         let depth = |mean: &[f32; 3]| camera.view_matrix().transform_point3(DVec3::from(mean.map(f64::from))).z;
         for (opacity, mean) in scene.opacities.iter_mut().zip(&scene.means) {
             if (0.0..0.05).contains(&depth(mean)) {

@@ -1,4 +1,4 @@
-//! The renderer against goldens, brute force, and itself.
+//! Against goldens, brute force, and itself.
 
 use std::num::NonZeroU32;
 use zipsplat::stages::render::{CameraRows, FrameShape, camera_rows, record};
@@ -91,7 +91,7 @@ fn brute_force(scene: &Scene, camera: &Camera, request: &RenderOptions) -> Rende
 #[test]
 fn equals_brute_force_at_every_degree_and_shape() {
     let mut renderer = Renderer::new(device());
-    // From subpixel to beyond the picture, whose sides are not multiples of a tile.
+    // From subpixel to beyond the picture.
     for (sh_degree, size, antialiased) in [(0, 0.01, true), (1, 0.1, false), (2, 0.5, true), (3, 3.0, false)] {
         let scene = random_scene(300, sh_degree, size);
         let camera = camera(70, 53);
@@ -164,7 +164,7 @@ fn pictures_in_flight_are_as_each_alone() {
     let expected: Vec<_> = cameras.iter().map(|camera| bits(&render(&scene, &[*camera], &ALL))).collect();
     let staged = Device::open(&DeviceOptions { force_staging: true, ..DeviceOptions::default() }).unwrap();
     for device in [device(), &staged] {
-        // Capacity of one intersection: every plan overflows in flight.
+        // Every plan of one intersection overflows in flight.
         for (capacity, batch_size) in [(0, 1), (0, 8), (1, 1), (1, 8)] {
             let mut renderer = Renderer::with_capacity(device, capacity).batch_size(batch_size);
             renderer.set_scene(&scene).unwrap();
@@ -237,7 +237,7 @@ fn draw_within(max_binding_bytes: u64, scene: &Scene, camera: &Camera) -> Vec<u3
 #[test]
 fn small_bindings_cut_scenes_and_pictures() {
     let (scene, camera) = (random_scene(2_500, 3, 0.05), camera(100, 200));
-    // 192 bytes of coefficients, rows of 4,400 bytes: two parts and four bands.
+    // Coefficients of 192 bytes, rows of 4,400: two parts and four bands.
     assert_eq!(draw_within(288 << 10, &scene, &camera), draw_within(128 << 20, &scene, &camera));
 }
 

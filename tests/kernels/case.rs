@@ -15,8 +15,7 @@ pub fn elements() -> Vec<Element> {
     [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
-/// Linear kernels with weights in the factors' type, on lanes both by rule and with the first tile
-/// in shared memory.
+/// With weights in the factors' type, on lanes by rule and with the first tile in shared memory.
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let lanes = |element| [Lanes::of(element), Lanes { element, tiles: Tiles::always(1) }];
     let panels = elements().into_iter().flat_map(lanes).map(|lanes| LinearKernel::Panels(lanes, Weights::Factors));
@@ -25,13 +24,13 @@ pub fn linear_kernels() -> Vec<LinearKernel> {
     panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).chain(dots).collect()
 }
 
-/// Adds limits without addresses for a kernel with a variant that reads by address.
+/// Without addresses only for a kernel with a variant that reads by address.
 pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits> {
     let bound = (has_twin && limits.addresses).then(|| Limits { addresses: false, ..limits.clone() });
     [limits.clone()].into_iter().chain(bound).collect()
 }
 
-/// Linear kernels that have a variant for 8-bit weights, with the variant.
+/// With their variant for 8-bit weights.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
 }
@@ -41,12 +40,11 @@ pub fn nearest_kernels() -> Vec<NearestKernel> {
     [NearestKernel::Lanes].into_iter().chain(matrix).collect()
 }
 
-/// Rounds to this type and back.
 pub fn stored(element: Element, values: Vec<f32>) -> Vec<f32> {
     element.decode(&element.encode(&values))
 }
 
-/// Rounds f64 results of at most one rounding to the f32 that a kernel computes exactly.
+/// Rounds f64 results of at most one rounding to f32, as a kernel computes them.
 pub fn rounded(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&x| x as f32).collect()
 }

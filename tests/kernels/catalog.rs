@@ -1,4 +1,4 @@
-//! The catalog of cases, by family of kernels, and its injected faults.
+//! By family of kernels, with injected faults.
 
 use std::collections::BTreeSet;
 use zipsplat_tests::catalog::examine;
@@ -40,8 +40,7 @@ fn every_kernel_is_in_a_family() {
     }
 }
 
-/// Injects each declared fault through its case's own check: the deviation exceeds the bound beyond
-/// any rounding.
+/// Injects each declared fault through its case's check: the deviation exceeds bound and rounding.
 fn assert_caught(areas: Vec<Area>, in_time: impl Fn(&Area, &Case, Mode) -> bool) {
     let mut missed = Vec::new();
     for area in &areas {
@@ -68,7 +67,7 @@ fn assert_caught(areas: Vec<Area>, in_time: impl Fn(&Area, &Case, Mode) -> bool)
 
 #[test]
 fn every_case_catches_the_faults_that_it_is_there_for() {
-    // The largest cases take seconds per mode; smaller ones cover narrower factors.
+    // The largest cases take seconds per mode.
     assert_caught(catalog(), |_, case, mode| case.size < 50_000 || mode == Mode::EXACT);
 }
 

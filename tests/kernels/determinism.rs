@@ -36,7 +36,7 @@ fn staging_changes_no_bit() {
 
 #[test]
 fn binding_parts_of_tensors_changes_no_bit() {
-    // Above the largest weight, below the pictures, hidden layers and head output.
+    // Above the largest weight, below pictures, hidden layers and head output.
     let narrow = DeviceOptions { max_binding_bytes: Some(200 << 10), ..DeviceOptions::default() };
     let narrow = Device::open(&narrow).unwrap();
     let cases = fast_arithmetics().into_iter().map(|half| (half, 1.0));
@@ -49,11 +49,11 @@ fn binding_parts_of_tensors_changes_no_bit() {
 
 #[test]
 fn cutting_long_dispatches_changes_no_bit() {
-    // The larger count is split into hundreds of submissions.
+    // Hundreds of submissions.
     for stated in [0, 1 << 40] {
         // Above and below the fold.
         for count in [64 * 100_000 + 1, 64 * 1000] {
-            // A fresh device has not measured its speed.
+            // A fresh device has no measured speed.
             let device = Device::open(&DeviceOptions::default()).unwrap();
             let values = random(1, count);
             let mut rec = Recorder::new(device.limits());

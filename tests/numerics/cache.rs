@@ -3,8 +3,7 @@ use tempfile::TempDir;
 use zipsplat::tune::{KernelChoice, SelfTest};
 use zipsplat_tests::prelude::*;
 
-/// Computes in f16 with this cache. It must have `passed`, `noted` failed kernels, be `refused`, or
-/// is `stopped`.
+/// Computes in f16 with this cache: `passed`, `noted` failed kernels, `refused`, or `stopped`.
 fn process(cache: &Path, expected: &str) -> std::process::Command {
     let mut command = child("cache::computes_in_f16", Path::new(expected), "");
     command.env("ZIPSPLAT_CACHE", cache).env("ZIPSPLAT_VALIDATION", "0");
@@ -83,7 +82,7 @@ fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
         all.deviations.keys().all(|kernel| !kernel.contains("bf16") && !kernel.contains("i8")),
         "only what is used"
     );
-    // Device loss in a group's first kernel on matrix units: `fast` does without.
+    // Device loss in a group's first kernel on matrix units: fp16 does without.
     let mut begun = all.clone();
     begun.deviations.retain(|kernel, _| kernel == "ops/linear_f16_f32");
     begun.deviations.insert("ops/linear_matrix_f16_f32".into(), None);
@@ -137,7 +136,7 @@ fn processes_at_once_leave_one_result() {
     let processes = [0; 3].map(|_| process(folder.path(), "passed").spawn().unwrap());
     for process in processes {
         let out = process.wait_with_output().unwrap();
-        // A later process must not mistake work in progress for a failure.
+        // Work in progress is no failure.
         assert!(
             out.status.success(),
             "{}{}",
@@ -161,7 +160,7 @@ fn a_test_that_never_ended_is_tried_once_more() {
         known
     };
     let hour = Duration::from_secs(3600);
-    // An aborted test, and one in progress in another process.
+    // Aborted, and in progress in another process.
     for (begun, age) in [(1, hour), (2, Duration::ZERO)] {
         write(begun, age);
         assert_succeeds(process(folder.path(), "passed"));

@@ -1,7 +1,6 @@
 //! Hard cases: no NaN, hang, panic or silent error.
 //!
-//! Slow tests are ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs
-//! them.
+//! `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs the slow tests.
 
 mod cache;
 mod doctor;
@@ -39,7 +38,7 @@ impl Mode {
     }
 }
 
-/// f32 first, then narrower factors, on matrix units and on lanes.
+/// f32 first, then narrower factors, on matrix units and lanes.
 fn modes() -> &'static [Mode] {
     static MODES: OnceLock<Vec<Mode>> = OnceLock::new();
     MODES.get_or_init(|| {
@@ -55,7 +54,7 @@ fn model() -> &'static Model {
     &modes()[0].model
 }
 
-/// Returns 0 if `bound` is 0.
+/// 0 if `bound` is 0.
 fn below(random: &mut Random, bound: usize) -> usize {
     (random.bits() >> 11) as usize % bound.max(1)
 }

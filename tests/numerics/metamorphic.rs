@@ -1,5 +1,3 @@
-//! Input changes with a known effect on the output.
-
 use crate::{Mode, modes, noise};
 use zipsplat_cli::metrics::psnr;
 use zipsplat_tests::prelude::*;
@@ -40,8 +38,8 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
                 Renderer::new(device()).render_scene(scene, &[camera(64, 48)], &RenderOptions::default()).unwrap();
             frames[0].rgb.clone().unwrap()
         };
-        // In f32, a parameter error of 1e-4 is 80 dB. With narrower factors each may deviate by its
-        // tolerance, together by 6 dB more.
+        // In f32, a parameter error of 1e-4 is 80 dB. With narrower factors both may deviate by
+        // their tolerance: 6 dB more.
         let alike = psnr(&draw(&plain), &draw(&moved));
         let least = if mode.arithmetic == Arithmetic::EXACT {
             60.0
@@ -104,7 +102,7 @@ fn duplicated_views_give_the_same_gaussians() {
         let images = views(3);
         let doubled = [0, 1, 2, 1].map(|i| images[i].clone());
         let scene = mode.reconstruct(&doubled, &ReconstructOptions::default());
-        // Views 1 and 3 are equal: every sum has the same terms in the same order.
+        // Equal views: sums have the same terms in the same order.
         let (first, second) = (fields(&scene, 4, &[1]), fields(&scene, 4, &[3]));
         for ((field, first), (_, second)) in first.iter().zip(second) {
             assert_same(field, &bits(&second), &bits(first));
@@ -156,8 +154,8 @@ fn opaque_layers_hide_what_is_behind() {
     assert_same("rgb", &bits(&draw(&wall, 64).rgb.unwrap()), &bits(&draw(&alone, 64).rgb.unwrap()));
 }
 
-/// `sigma` in pixels, before a camera of focal length 64, with exact pixel positions: quarter
-/// pixels at depths 1, 2 and 4.
+/// `sigma` in pixels, before a camera of focal length 64, at exact quarter pixels and depths 1, 2
+/// and 4.
 fn exactly_placed(count: usize, sigma: f32) -> Scene {
     let mut scene = random_scene(count, 1, 0.1);
     for i in 0..count {
@@ -173,8 +171,8 @@ fn exactly_placed(count: usize, sigma: f32) -> Scene {
 #[test]
 fn tiles_apart_are_the_picture_together() {
     let (width, height) = (64, 48);
-    // Whole, by aligned and by unaligned parts. Projection clamps Gaussians beyond 0.15 of a part
-    // from its edge; they must not reach the part, 3.4 deviations away.
+    // Projection clamps Gaussians beyond 0.15 of a part from its edge; they must not reach the
+    // part, 3.4 deviations away.
     for (size, [part_width, part_height]) in [(0.4, [16, 16]), (1.0, [32, 48]), (1.0, [32, 24]), (0.6, [32, 16])] {
         let scene = exactly_placed(3_000, size);
         let whole = draw(&scene, width as u32);

@@ -30,7 +30,7 @@ fn a_full_disk_leaves_what_was_there() {
     }
     let before = contents(folder.path());
     assert_eq!(before.len(), scene_files().len() + 2);
-    // 16 KiB per file; further writes return errors instead of a signal.
+    // Further writes return errors instead of a signal.
     assert_succeeds(child("resources::writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
     assert!(contents(folder.path()) == before, "a file changed, or a part of one was left");
 }
@@ -164,7 +164,7 @@ fn reconstructs_and_renders_again_and_again() {
 /// Of lavapipe: subgroups of 4, 8 and 16 lanes.
 const VECTORS: [u32; 3] = [128, 256, 512];
 
-/// Sums are reordered: each is within the tolerance of their common truth.
+/// Within the tolerance of a common truth: sums are reordered.
 #[test]
 fn every_subgroup_size_gives_the_same_scene() {
     if !device().limits().cpu {

@@ -1,4 +1,4 @@
-//! Cases too slow for `zipsplat doctor`.
+//! Too slow for `zipsplat doctor`.
 
 use crate::below;
 use zipsplat_tests::prelude::*;
@@ -26,7 +26,7 @@ fn pile(count: usize, opacity: f32, sigma: f32) -> Scene {
     }
 }
 
-/// Equal layers, until transmittance would reach 1e-4.
+/// Until transmittance would reach 1e-4.
 fn stacked(count: usize, alpha: f64) -> f64 {
     let mut left = 1.0;
     for _ in 0..count {

@@ -74,7 +74,7 @@ fn opened(bytes: &[u8]) -> Image {
     read_as("photo", bytes, |path| Image::open(path).unwrap())
 }
 
-/// 8 x 8 pixels of value 128 + `level`, baseline, with the usual Adobe marker of inverted values.
+/// 8 x 8 pixels of 128 + `level`, baseline, with Adobe's marker of inverted values.
 fn cmyk_jpeg(level: i32) -> Vec<u8> {
     let mut out = vec![0xff, 0xd8];
     let mut segment = |marker: u8, body: &[u8]| {
@@ -85,7 +85,7 @@ fn cmyk_jpeg(level: i32) -> Vec<u8> {
     segment(0xee, b"Adobe\x00\x64\x00\x00\x00\x00\x00");
     segment(0xdb, &[&[0u8][..], &[1; 64]].concat());
     segment(0xc0, &[8, 0, 8, 0, 8, 4, 1, 0x11, 0, 2, 0x11, 0, 3, 0x11, 0, 4, 0x11, 0]);
-    // One 1-bit code each: differences of 10 bits for DC, end of block for AC.
+    // One 1-bit code each: 10-bit differences for DC, end of block for AC.
     let table = |class: u8, symbol: u8| [&[class, 1][..], &[0; 15], &[symbol]].concat();
     segment(0xc4, &table(0x00, 10));
     segment(0xc4, &table(0x10, 0));

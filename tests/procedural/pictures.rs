@@ -70,7 +70,6 @@ fn manifest(entries: &[(&str, &str)]) -> String {
 fn only_permissive_crops_are_read_and_show_in_scenes() {
     let folder = tempfile::tempdir().expect("a folder");
     crop(folder.path(), "free.png", 32, 32);
-    // The missing file must not be opened.
     fs::write(
         folder.path().join("manifest.json"),
         manifest(&[("free.png", "permissive"), ("not.png", "noncommercial")]),

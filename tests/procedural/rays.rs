@@ -1,5 +1,4 @@
-//! Ray intersections in f64, by other algorithms: single faces, quadratics, bisection, all
-//! triangles.
+//! Hits in f64, by other algorithms: single faces, quadratics, bisection, all triangles.
 
 use zipsplat_cli::procedural::{HeightField, Primitive, Shape};
 use zipsplat_tests::prelude::*;

@@ -42,7 +42,7 @@ impl Photos for Known<'_> {
     }
 }
 
-/// Points of one view in `step` pixels, off by up to a fifth of their depth if `rough`.
+/// `rough` points are off by up to a fifth of their depth.
 fn points(capture: &Capture, views: &[usize], step: usize, rough: f64) -> Scene {
     let mut cloud = PointCloud::default();
     for view in views {
@@ -72,7 +72,7 @@ fn draw(scene: &Scene, cameras: &[Camera]) -> Vec<RenderOutput> {
     Renderer::new(device()).render_scene(scene, cameras, &options).expect("pictures")
 }
 
-/// Mean PSNR of pictures against photos, and median error of depth relative to it.
+/// Mean PSNR against photos, and median relative error of depth.
 fn scores(scene: &Scene, cameras: &[Camera], images: &[Image], depths: &[Vec<f32>]) -> [f64; 2] {
     let (mut sum, mut errors) = (0.0, Vec::new());
     for (i, drawn) in draw(scene, cameras).into_iter().enumerate() {

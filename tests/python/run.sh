@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Builds the Python wheel, installs it into a clean virtual environment, and runs pytest and mypy on
-# lavapipe or ZIPSPLAT_DRIVER (see tools/setup.sh). Where pip reaches no packages, says so and tests
-# nothing.
+# lavapipe or ZIPSPLAT_DRIVER (see tools/setup.sh). Tests nothing if pip reaches no packages.
 # usage: tests/python/run.sh [ARGS of pytest]
 #   PYTHON            interpreter; default python3
 #   ZIPSPLAT_LIBRARY  existing shared library; default engine/bindings/python/build.sh builds it

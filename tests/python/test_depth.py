@@ -30,7 +30,7 @@ def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, pho
     size = zipsplat.load_image(photos[0]).shape
     first, second = found.image_cameras
     assert first is not None and second is not None
-    # Whole photos share a focal length.
+    # Photos share a focal length.
     assert (first.height, first.width) == size[:2] and first.fx == first.fy == second.fx
     assert math.isclose(float(np.linalg.det(first.camera_to_world[:3, :3])), 1, abs_tol=1e-6)
     # Cameras of the maps unproject them.
@@ -50,7 +50,7 @@ def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, pho
     assert kept.patch_tokens.shape == (1, camera.height // 14, camera.width // 14, kept.patch_tokens.shape[3])
     features, _ = scene.lift(list(kept.patch_tokens), [camera])
     assert features.shape == (len(scene.means), kept.patch_tokens.shape[3]) and np.abs(features).max() > 0
-    # Known cameras are returned, and arrays outlive their object.
+    # Arrays outlive their object.
     known = [
         zipsplat.Camera.from_fov(size[1], size[0], 60, camera_to_world=np.eye(4) + np.eye(4, k=3) * shift)
         for shift in (0, 1)

@@ -87,7 +87,7 @@ def test_captures_finish_once_despite_killed_processes(places: Path, tmp_path: P
     finally:
         cluster.shutdown()
     assert names(out) == [str(name) for name in range(8)]
-    # A worker that outlived its driver may have added more.
+    # A worker may have outlived its driver.
     assert all((out / f"{name}.ply").stat().st_mtime_ns == when for name, when in before.items()), (
         "nothing is made twice"
     )
@@ -111,14 +111,14 @@ def test_failing_captures_are_rows_and_tries_are_limited(places: Path, tmp_path:
     assert sorted(rows) == [str(name) for name in range(8)]
     one = worker(tmp_path / "out")
     assert "PNG" in one.one(rows["3"])["error"]
-    # Retries up to the limit by workers that died.
+    # Workers may die up to the limit.
     for tries in (1, 2, 3):
         one.store.try_again(rows["5"], tries)
     assert "3 attempts" in one.one(rows["5"])["error"] and not (tmp_path / "out" / "5.ply").exists()
     assert one.one(rows["4"])["gaussians"] > 0
     made = (tmp_path / "out" / "4.ply").stat().st_mtime_ns
     assert one.one(rows["4"])["hash"] == rows["4"].hash and (tmp_path / "out" / "4.ply").stat().st_mtime_ns == made
-    # A changed photo changes the hash, so its capture runs and counts again.
+    # Another hash runs and counts the capture again.
     zipsplat.save_image(places / "5" / "1.png", np.zeros((20, 20, 3), np.uint8))
     again = {row.name: row for row in captures([str(places)], Options(input_size=SIZE))}
     assert again["5"].hash != rows["5"].hash and one.one(again["5"])["gaussians"] > 0

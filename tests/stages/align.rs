@@ -5,7 +5,7 @@ use zipsplat_cli::align::adam::Descent;
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{golden::lpips_weights, scenes::intrinsics};
 
-/// The golden's loss is the mean of both photos, which Adam ignores.
+/// The golden's loss is the mean of both photos.
 fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>, steps: usize) {
     let mut renderer = Renderer::new(device());
     renderer.set_scene(&golden_scene(golden)).unwrap();
@@ -47,7 +47,6 @@ fn the_steps_with_lpips_are_those_of_the_authors() {
     let Some(path) = lpips_weights(LpipsNetwork::Vgg) else { return };
     for golden in golden::list("grad_pose").into_iter().filter_map(|file| Golden::open(&file)) {
         let lpips = Perceptual::open(device(), LpipsNetwork::Vgg, &path, true).unwrap();
-        // LPIPS acts from the first step.
         check_steps(&golden, "lpips/", Some(lpips), 6);
     }
 }

@@ -45,7 +45,7 @@ fn cameras() -> Vec<Camera> {
     .to_vec()
 }
 
-/// One Gaussian per token at its patch's center, one unseen.
+/// One per token at its patch's center, one unseen.
 fn decoded(place: Place, patches: &Patches) -> Scene {
     let cameras = cameras();
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };

@@ -1,7 +1,7 @@
 use zipsplat::types::{Orbit, prior_encoding, quaternion_from_matrix};
 use zipsplat_tests::prelude::*;
 
-/// The goldens are computed in f32.
+/// Goldens are computed in f32.
 const F32_RUN: Tolerance = Tolerance { max: 2e-6, rms: 3e-7 };
 
 fn goldens() -> Golden {
@@ -36,7 +36,7 @@ fn quaternions_follow_the_reference() {
     let golden = goldens();
     let rotations: Vec<DMat3> = golden.f64("quat/R").chunks(9).map(matrix).collect();
     let found: Vec<f64> = rotations.iter().flat_map(quaternion_from_matrix).collect();
-    // Near half turns, matrices rounded to f32 are the truth.
+    // Near half turns, f32 matrices are the truth.
     assert_close("quat/wxyz", &found, &golden.f64("quat/wxyz"), F32_RUN);
     for (rotation, wxyz) in rotations.iter().zip(found.chunks(4)) {
         assert!(wxyz[0] >= 0.0, "{wxyz:?}");

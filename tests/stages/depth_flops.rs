@@ -72,8 +72,7 @@ fn scratch_of_heads_is_of_one_view() {
         network.plan(&limits, shape).unwrap().0.arena_bytes()
     };
     let (few, many) = (bytes(4), bytes(8));
-    // Per view: four features, a block's tensors, 2 values per pixel, 7 per ray. A head's map takes
-    // 43 MB.
+    // A view: four features, a block's tensors, 2 values a pixel, 7 a ray. A head's map takes more.
     let (tokens, width) = (24 * 36, 768);
     let features = 4 * 4 * 2 * tokens * width;
     let outputs = 4 * (2 * 504 * 336 + 7 * 64 * tokens);

@@ -37,7 +37,7 @@ fn pixel(camera: &Camera, mean: [f32; 3]) -> (usize, f64) {
     (y as usize * SIZE[0] as usize + x as usize, at.z)
 }
 
-/// Of the Gaussians, from depths `10 view + pixel + 1`.
+/// From depths `10 view + pixel + 1`.
 fn pixels(scene: &Scene) -> Vec<usize> {
     let place = |mean: &[f32; 3]| {
         let found = cameras().iter().enumerate().find_map(|(view, camera)| {

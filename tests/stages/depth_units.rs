@@ -8,7 +8,6 @@ fn interleaved(values: &[f64], channels: usize) -> Vec<f64> {
     (0..values.len()).map(|i| values[i % channels * pixels + i / channels]).collect()
 }
 
-/// Parses `HxW` in a key.
 fn size(text: &str) -> [usize; 2] {
     let (height, width) = text.split_once('x').expect("height x width");
     [height, width].map(|side| side.parse().expect("a number"))

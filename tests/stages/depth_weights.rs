@@ -17,7 +17,7 @@ fn manifest(config: &str) -> Option<Vec<(String, Vec<usize>)>> {
     Some(parameters.iter().map(|(name, of)| (name.clone(), shape(of))).collect())
 }
 
-/// In f32, with the values of `of` where it has them.
+/// With the values of `of` where it has them.
 fn write(path: &Path, tensors: &[(String, Vec<usize>)], of: Option<&DepthCheckpoint>) {
     let values = |(name, shape): &(String, Vec<usize>)| {
         let mut values = vec![0.0; shape.iter().product()];

@@ -165,7 +165,7 @@ fn merged_gaussians_have_the_mean_and_covariance_of_their_pair() {
     }
     let area = 2.0 * 0.4 * 0.5 * 0.4 / (0.4 * 0.5f32.sqrt());
     assert!((one.opacities[0] - area).abs() < 1e-6, "{}", one.opacities[0]);
-    // Two at one place are as opaque as one behind the other.
+    // Two at one place, as one behind the other.
     let same = Scene { means: vec![[0.0; 3]; 2], ..pair };
     let one = edited(&same, &[edit("decimate", &[0.5])]);
     assert!((one.opacities[0] - 0.64).abs() < 1e-6, "{}", one.opacities[0]);
@@ -202,13 +202,13 @@ fn decimation_merges_to_the_count_and_repeats_bit_for_bit() {
         assert!(reports[0].effect.starts_with(&format!("{} merged", 1000 - count)), "{}", reports[0].effect);
         assert_eq!(found, edited(&scene, &[edit("decimate", &[number])]));
     }
-    // Equal neighbors go first, wherever they are listed.
+    // Equal neighbors go first, wherever listed.
     let mut doubled = random_scene(40, 1, 0.05);
     doubled.append(random_scene(40, 1, 0.05));
     let single = edited(&doubled, &[edit("decimate", &[40.0])]);
     let at = |scene: &Scene| scene.means.clone();
     assert_eq!(at(&single), at(&random_scene(40, 1, 0.05)));
-    // The most visible of a pair is its source, also after a sort.
+    // The most visible of a pair is its source.
     doubled.opacities[..20].iter_mut().for_each(|opacity| *opacity *= 0.99);
     let sorted = doubled.edit(&[edit("decimate", &[40.0]), edit("sort", &[])], &[]).expect("a scene");
     let mut sources = sorted.sources.clone();
@@ -228,7 +228,7 @@ fn clean_drops_floaters_and_keeps_the_rest() {
     (scene.means[behind], scene.scales[behind]) = ([0.0, 0.0, -1.0], [2.0; 3]);
     (scene.means[beside], scene.scales[beside]) = ([1.4, 0.0, 2.0], [2.0; 3]);
     let clean = |cameras: &[Camera]| scene.edit(&[edit("clean", &[])], cameras).expect("a scene");
-    // 66 degrees wide: 0.65 of the depth to a side, doubled 1.3.
+    // 66 degrees: 0.65 of the depth to a side, doubled 1.3.
     let cameras = [Camera::from_hfov_deg(64, 64, 66.0)];
     for (cameras, expected) in
         [(&[][..], [false, true, false, true, true]), (&cameras, [false, true, false, false, true])]

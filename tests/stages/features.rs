@@ -1,4 +1,4 @@
-//! Features against a brute-force reference in f64, where every pixel visits every Gaussian.
+//! Against brute force in f64, where every pixel visits every Gaussian.
 
 use zipsplat::features::{FeatureRenderer, Features, LiftMemory, Lifted, PixelValues};
 use zipsplat_tests::prelude::*;
@@ -18,7 +18,7 @@ fn cameras() -> Vec<Camera> {
         .collect()
 }
 
-/// Returns the weights of all Gaussians at each pixel; `None` if rounding may decide a threshold.
+/// At each pixel; `None` if rounding may decide a threshold.
 fn weights(scene: &Scene, camera: &Camera) -> Vec<Option<Vec<f64>>> {
     let splats = project(&reference_gaussians(scene), &reference_camera(camera), scene.antialiased);
     let mut order: Vec<(usize, &Splat)> =
@@ -47,7 +47,7 @@ fn weights(scene: &Scene, camera: &Camera) -> Vec<Option<Vec<f64>>> {
     (0..width * height).map(pixel).collect()
 }
 
-/// Values of cells of `scale` pixels, NaN at pixels that rounding may change.
+/// Cells of `scale` pixels, NaN if rounding may change them.
 fn pictures(seen: &[Vec<Option<Vec<f64>>>], cameras: &[Camera], channels: usize, scale: u32) -> Vec<PixelValues> {
     let picture = |(i, camera): (usize, &Camera)| {
         let (width, height) = (camera.intrinsics.width / scale, camera.intrinsics.height / scale);

@@ -1,7 +1,7 @@
 //! FLOPs by stage against PyTorch: twice the multiply-adds of every matrix product and convolution.
 //!
-//! Photos of 252 x 252 pixels, no known cameras. `flops.csv` counts TFLOPs by
-//! torch.utils.flop_counter, and k-means as five assignments and one search, each of 2 N K D.
+//! Photos of 252 x 252 pixels, no known cameras. `flops.csv` has TFLOPs by
+//! torch.utils.flop_counter; k-means is five assignments and one search, each of 2 N K D.
 
 use zipsplat::gpu::Profile;
 use zipsplat::reconstruct::{Network, Shape};

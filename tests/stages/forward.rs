@@ -37,7 +37,7 @@ fn tap_names(a: &Architecture) -> (Vec<String>, Vec<String>) {
     (before, after)
 }
 
-/// Uses the golden's tokens; checks k-means only in f32.
+/// Checks k-means only in f32.
 fn check(file: &str, arithmetic: Arithmetic) {
     let Some(golden) = Golden::open(file) else { return };
     let config = file.split('.').next().expect("config.case");
@@ -150,8 +150,8 @@ fn check_all(config: &str, arithmetics: &[Arithmetic]) {
     }
 }
 
-/// With and without cameras, all tokens and half, against `tools/train/check.py dump`. Limits are
-/// the table's or three times PyTorch's f32 deviation: trained scales have a long tail.
+/// Against `tools/train/check.py dump`. Limits are the table's or three times PyTorch's f32
+/// deviation: trained scales have a long tail.
 #[test]
 fn builtin() {
     let golden = Golden::open("embedded.safetensors").expect("it is committed");
@@ -177,7 +177,7 @@ fn builtin() {
     }
 }
 
-/// 5 x 5 patches have smaller groups at the border.
+/// Smaller groups at the border.
 #[test]
 fn pooled_keys() {
     let golden = Golden::committed("micro.v2_native.safetensors");

@@ -1,4 +1,4 @@
-//! Gradients from pictures to tokens, and descent, against PyTorch.
+//! From pictures to tokens, and descent, against PyTorch.
 
 use std::sync::Arc;
 use zipsplat::refine::{Adam, Space, record_adam};
@@ -63,7 +63,6 @@ fn through_the_head() {
             head.record_backward(&mut rec, &kept, &d_gaussians);
             let mut run = Run::with_resident(device(), rec.finish().unwrap(), Some(resident.clone())).unwrap();
             run.write(tokens, &golden.f32("tokens")).unwrap();
-            // Gaussians before scaling.
             run.write(unit, &[1.0f32]).unwrap();
             for (i, tensor) in d.into_iter().enumerate() {
                 let values = columns(&golden.f32(&format!("{stem}/d_gauss")), width, ends[i], ends[i + 1]);
@@ -239,7 +238,7 @@ fn from_pictures_to_tokens() {
     }
 }
 
-/// Every loss of 20 steps, and some tokens relative to their change.
+/// 20 steps' losses, and some tokens relative to their change.
 fn check_steps(golden: &Golden, stem: &str, mut steps: Steps, rate: f32, [of_loss, of_change]: [f64; 2]) {
     let (start, key) = (golden.f64("tokens"), |name: &str| format!("{stem}/{name}"));
     let change = |tokens: Vec<f64>| tokens.iter().zip(&start).map(|(a, b)| a - b).collect::<Vec<f64>>();

@@ -58,7 +58,7 @@ fn preprocessing_matches_every_golden() {
     }
 }
 
-/// Summation order flips some values by one, in f32 as in f64 (FORMAT.md, 6).
+/// Summation order flips some values by one (FORMAT.md, 6).
 #[test]
 fn bilinear_matches_every_golden() {
     let Some(truth) = Golden::open("preproc.safetensors") else { return };
@@ -116,7 +116,7 @@ fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
         assert_eq!((view.image.width, view.image.height), (width, height));
         let lens = Intrinsics { width: 640, height: 427, fx: 500.0, fy: 510.0, cx: 320.0, cy: 213.5 };
         let mapped = view.map.apply(&lens, "lens").unwrap();
-        // Centered up to the half pixel of an odd crop.
+        // Up to half a pixel for odd crops.
         let scale = view.map.scale[0].max(view.map.scale[1]);
         assert!((mapped.cx - f64::from(width) / 2.0).abs() <= 0.5 * scale.max(1.0) + 1e-9, "{mapped:?}");
         assert!((mapped.cy - f64::from(height) / 2.0).abs() <= 0.5 * scale.max(1.0) + 1e-9, "{mapped:?}");
@@ -292,7 +292,6 @@ fn other_pixel_types_become_rgb8() {
     assert_eq!(open(&encoded(&deep, ImageFormat::Png)).unwrap().rgb, [0xab; 3]);
 }
 
-/// PNG checksum, for a false header.
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 })

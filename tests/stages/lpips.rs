@@ -1,4 +1,4 @@
-//! LPIPS: random weights against f64, real ones, if present, against goldens.
+//! Random weights against f64, real ones, if present, against goldens.
 
 use std::collections::HashMap;
 use zipsplat::ops::{ParameterLayout, ParameterSource};
@@ -10,7 +10,7 @@ use zipsplat_tests::reference::lpips::{Layer, lpips};
 
 const NETWORKS: [LpipsNetwork; 2] = [LpipsNetwork::Vgg, LpipsNetwork::Alex];
 
-/// Outputs, side, step, padding, pooling before it, and whether its features are compared.
+/// Outputs, side, step, padding, pooling before it, and whether features are compared.
 type Row = (usize, usize, usize, usize, Option<[usize; 2]>, bool);
 
 fn rows(network: LpipsNetwork) -> Vec<Row> {
@@ -60,14 +60,12 @@ fn weights(network: LpipsNetwork) -> HashMap<String, Vec<f32>> {
     found
 }
 
-/// Values beyond 0..1.
 struct Pair {
     a: Vec<f32>,
     b: Vec<f32>,
     size: [usize; 2],
 }
 
-/// The gradient is by the first picture.
 struct LpipsResult {
     value: f32,
     layers: Vec<f32>,

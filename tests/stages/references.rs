@@ -176,7 +176,7 @@ fn projections() {
             let name = |field: &str| format!("{} {mode} {field}", golden.file());
             let ok: Vec<u8> = splats.iter().map(|splat| u8::from(splat.is_some())).collect();
             assert_same(&name("ok"), &ok, &golden.u8(&key("ok")));
-            // A picture spans many magnitudes.
+            // Pictures span many magnitudes.
             let compare = |field: &str, got: &dyn Fn(&Splat) -> Vec<f64>, width: usize| {
                 let truth = golden.f64(&key(field));
                 for (i, (splat, truth)) in splats.iter().zip(truth.chunks(width)).enumerate() {

@@ -26,7 +26,7 @@ fn assert_round_trip(name: &str, found: &Scene, truth: &Scene) {
         (&truth.means, &truth.quats, &truth.sh_coeffs),
         "{name}"
     );
-    // f32 logarithms up to 14 are off by 1e-6.
+    // Logarithms up to 14 are off by 1e-6.
     let tolerance = Tolerance { max: 3e-6, rms: 1e-6 };
     assert_close(name, found.scales.as_flattened(), truth.scales.as_flattened(), tolerance);
     assert_close(name, &found.opacities, &truth.opacities, tolerance);
@@ -45,7 +45,7 @@ fn written(scene: &Scene) -> Vec<u8> {
     bytes_of("scene.ply", |path| write_ply(scene, path).unwrap())
 }
 
-/// Up to an ulp of log scales: PyTorch's vectorized logarithm is not correctly rounded.
+/// Allows an ulp: PyTorch's vectorized logarithm is not correctly rounded.
 #[track_caller]
 fn assert_same_but_for_logarithms(name: &str, found: &[u8], truth: &[u8]) {
     let body = header_len(truth);
@@ -106,7 +106,6 @@ fn packed_rows_are_taken_apart_in_order() {
 
 #[test]
 fn scenes_survive_a_file() {
-    // 70,000 rows exceed a batch.
     for (count, degree) in [(0, 1), (1, 0), (1000, 3), (70_000, 1)] {
         let scene = scene(count, degree);
         assert_round_trip(&format!("{count} of degree {degree}"), &read(&written(&scene)).unwrap(), &scene);
@@ -261,7 +260,7 @@ fn the_most_visible_of_each_token_stay() {
     let whole = scene(10, 1);
     let mut kept = whole.clone();
     kept.keep_most_visible(4, 2);
-    // Two of each four, and the two of the partial group.
+    // Two of each four and of the partial group.
     assert_eq!(kept.len(), 6);
     kept.validate().unwrap();
     let shows = |scene: &Scene, i: usize| {

@@ -92,7 +92,7 @@ fn splines_through_equal_steps_are_even() {
     for (i, frame) in Spline::through(&cameras, false).unwrap().sample(41).iter().enumerate() {
         let t = i as f64 / 10.0;
         assert!(frame.pose.translation.abs_diff_eq(DVec3::new(2.0 * t, 1.0, 0.0), 1e-12), "{t}: {frame:?}");
-        // Squad's outer controls are its ends, so only inner segments turn evenly.
+        // Squad's outer controls are its ends: only inner segments turn evenly.
         let even = frame.pose.rotation.abs_diff_eq(DMat3::from_rotation_y(0.2 * t), 1e-12);
         assert!(even || !(1.0..=3.0).contains(&t), "{t}: {frame:?}");
     }

@@ -20,11 +20,9 @@ const LAYERS: [&str; 14] = [
     "refine",
 ];
 
-/// Dispatch kernels.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 
-/// Places with unsafe code: the validation of kernels, the C ABI and its calls, and the mapping of
-/// a checkpoint into memory.
+/// Unsafe code: validation of kernels, the C ABI and its calls, and memory mapping of checkpoints.
 const UNSAFE: [&str; 5] =
     ["engine/build.rs", "engine/gpu/src/", "engine/bindings/c/src/", "engine/src/weights/source.rs", "tests/abi/"];
 

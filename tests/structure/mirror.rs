@@ -4,7 +4,7 @@ use crate::source::files;
 use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
-/// Kernels that are steps of an operation with another name; variants append a word to its name.
+/// Steps of an operation with another name; variants append a word to its name.
 const STEPS: [(&str, &str); 16] = [
     ("features/draw", "features"),
     ("features/gather", "features"),
@@ -24,13 +24,12 @@ const STEPS: [(&str, &str); 16] = [
     ("render/tile_counts", "render/intersect"),
 ];
 
-/// Names without a reference, and their alternative.
+/// With their alternative.
 const WITHOUT_REFERENCE: [(&str, &str); 2] = [
     ("ops/sort", "the stable sort of the standard library, a running sum"),
     ("render/intersect", "lists made on the host"),
 ];
 
-/// Relative, such as `ops/add`.
 fn names(folder: &str, ext: &str) -> BTreeSet<String> {
     let relative = |path: &str| path[folder.len() + 1..].trim_end_matches(&format!(".{ext}")).to_owned();
     files(folder, ext).iter().map(|source| relative(&source.path)).collect()
@@ -86,7 +85,7 @@ fn every_exception_is_of_use() {
 
 #[test]
 fn the_table_has_every_kernel_within_its_limits() {
-    // A kernel has one module per element type.
+    // One module per element type.
     let types = ["_f32", "_f16", "_bf16", "_i8"];
     fn kernel<'a>(module: &'a str, types: &[&str]) -> &'a str {
         types.iter().find_map(|name| module.strip_suffix(name)).map_or(module, |rest| kernel(rest, types))

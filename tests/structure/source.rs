@@ -7,7 +7,6 @@ pub struct Source {
     pub text: String,
 }
 
-/// Sorted.
 pub fn files(folder: &str, ext: &str) -> Vec<Source> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut found = Vec::new();

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Tests tools/train: training, growing, captures, settings, steps, memory and renderers. Installs
-# PyTorch into the cache the first time; where pip cannot reach it, says so and tests nothing.
+# PyTorch into the cache the first time. Tests nothing if pip cannot reach it.
 # usage: tests/train/run.sh
 #   PYTHON            interpreter with PyTorch, safetensors and numba; default the cache's
 #   ZIPSPLAT_COMMAND  the command zipsplat; default the checkout's, which is built

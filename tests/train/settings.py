@@ -205,8 +205,7 @@ def lpips_is_the_authors():
     if not home.is_file():
         print(f"{home}: not there (tools/lpips.py fetches it): LPIPS was not compared")
         return
-    # In f32, rounding picks the maximum among equal features of black pixels, and so the gradient's
-    # path.
+    # In f32, rounding picks the maximum among equal features of black pixels.
     distance = losses.Lpips(load_file(home)).double()
     for i in range(3):
         a, b = (golden[f"{i}/{name}"].double()[None] for name in "ab")

@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
-# Trains briefly on a CPU and checks that the loss falls and the engine reconstructs with the
-# weights, also from photos in the layouts of RealEstate10K and DL3DV and a Depth Anything 3
-# backbone.
+# Trains briefly on a CPU. The loss must fall and the engine reconstruct with the weights, also from
+# photos in the layouts of RealEstate10K and DL3DV and a Depth Anything 3 backbone.
 # usage: PYTHON=VENV/bin/python tests/train/smoke.sh target/release/zipsplat
 set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)

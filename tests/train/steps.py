@@ -75,7 +75,7 @@ def gradients_do_not_depend_on_recomputation_or_parts():
     for name, (gradients, other, _) in found.items():
         error = ((gradients - exact).norm() / exact.norm()).item()
         assert error < 1e-5 and abs(other - loss) < 1e-5 * loss, (name, error, other, loss)
-    # A block of a local layer runs once a part, and once more where it is recomputed.
+    # Once a part, and once more if recomputed.
     assert [calls for _, _, calls in found.values()] == [1, 2, 2, 8], [calls for _, _, calls in found.values()]
 
 
@@ -126,7 +126,7 @@ def two_processes_learn_as_one_does():
         for launcher, name in (([], "one"), (["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"], "two")):
             subprocess.run([sys.executable, *launcher, __file__, f"{folder}/{name}"], env=environment, check=True)
         one, two = (torch.load(f"{folder}/{name}", weights_only=True) for name in ("one", "two"))
-    # Relative limits of loss, opacity by averaged weights, and the gradient's norm, which amplifies
+    # Relative, of loss, opacity by averaged weights, and the gradient's norm, which amplifies
     # rounding. Muon iterates in bf16.
     limits = {False: torch.tensor([1e-3, 1e-3, 1e-2]), True: torch.tensor([2e-2, 2e-2, 1e-1])}
     for muon, limit in limits.items():

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tests the viewer in a headless browser against `zipsplat render`. Needs Node 20 and Chromium
-# (Debian: `apt-get install --no-install-recommends chromium nodejs npm`), else tests nothing.
+# Tests the viewer in a headless browser against `zipsplat render`. Tests nothing without Node 20
+# and Chromium (Debian: `apt-get install --no-install-recommends chromium nodejs npm`).
 # usage: tests/viewer/run.sh [--test-name-pattern=WORDS] [page.test.mjs]
 #   CHROME    browser; default chromium, google-chrome or chrome of the PATH
 #   ZIPSPLAT  command; default the checkout's, which is built

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Measures a device: limits, tuning, forward passes, renders, refinement and self-tests, then
-# PyTorch and gsplat. Writes a JSON file per part, results.json with all parts, and tables.md. A
-# part that fails or takes too long does not stop the rest.
+# PyTorch and gsplat. Writes a JSON file per part, results.json with all parts, and tables.md.
+# Failed or slow parts do not stop the rest.
 # usage: tools/bench/report.sh OUT
 #   PARTS     default "device peak tune forward render refine doctor pytorch gsplat"
 #   MINUTES   budget, default 10: parts that have not begun by then are left out

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Unpacks a Debian suite's lavapipe (Vulkan on the CPU), loader and validation layers under PREFIX,
-# with all libraries including the C library (84 MB to download, 334 MB on disk). Needs no root.
-# trixie-backports has Mesa 26, the first with cooperative matrices; trixie has Mesa 25.
+# with all libraries including the C library. Needs no root. trixie-backports has Mesa 26, the first
+# with cooperative matrices; trixie has Mesa 25.
 # usage: tools/dev/lavapipe.sh PREFIX [SUITE]      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
@@ -13,7 +13,7 @@ exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 say() { echo "zipsplat: $*" >&2; }
 
 unpack() {
-# Debian's configured mirror. Other repositories (Docker's) may also end in /debian.
+# Other repositories (Docker's) may also end in /debian.
 # shellcheck disable=SC2016 # $(REPO_URI) is apt's
 mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 'Origin: Debian' |
   awk '/\/debian(\.list)?\/?$/ { mirror = $0 } END { print mirror }')
@@ -56,7 +56,7 @@ rm -r "$apt"
 }
 [[ -x $prefix/run ]] || unpack
 
-# A newer C library than the system's needs its own dynamic loader, which takes no scripts.
+# A newer C library needs its own dynamic loader, which takes no scripts.
 cat > "$prefix/run.part" << 'END'
 #!/usr/bin/env bash
 root=$(dirname "$(realpath "$0")")/root
@@ -67,8 +67,7 @@ while [[ $(head -c 2 "$1" | tr -d '\0') == '#!' ]]; do
   [[ $interpreter != */env ]] || { interpreter=$(command -v -- "$option") && option=; }
   set -- "$interpreter" ${option:+"$option"} "$@"
 done
-# Subgroups of 16 where the processor has vectors that wide are 1.4 times as fast as the default of
-# 8.
+# Subgroups of 16 are 1.4 times as fast as the default of 8 if vectors are that wide.
 if grep -qsw avx512f /proc/cpuinfo; then export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-512}; fi
 export VK_DRIVER_FILES=$root/usr/share/vulkan/icd.d/lvp_icd.json
 export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DISABLE='~implicit~'

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Unpacks SwiftShader (Vulkan on the CPU, unrelated to Mesa) under PREFIX from Debian's Chromium (32
-# MB to download, 6 MB on disk). Loader and layers are those of tools/dev/lavapipe.sh in LAVAPIPE.
+# Unpacks SwiftShader (Vulkan on the CPU, unrelated to Mesa) under PREFIX from Debian's Chromium.
+# Loader and layers are those of tools/dev/lavapipe.sh in LAVAPIPE.
 # usage: tools/dev/swiftshader.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs kernels and stages with GPU-AV, which checks every access against its binding. A GPU would
-# read the neighboring tensor. Skips tests that would take minutes.
+# Runs kernels and stages with GPU-AV, which checks every access against its binding, without tests
+# that would take minutes.
 set -euo pipefail
 test=$(dirname "${BASH_SOURCE[0]}")/../test.sh
 export ZIPSPLAT_LAYER_SETTINGS=vk_layer_settings_bounds ZIPSPLAT_BOUND=1
@@ -8,7 +8,7 @@ slow=(determinism every_head_size every_epilogue short_and_long_sums beyond_the_
   tuning small_is_vits slice_of_the_giant)
 said=$(mktemp)
 trap 'rm "$said"' EXIT
-# The layer aborts when a process exits with an open device, so test output decides, not status.
+# The layer aborts processes that exit with an open device, so output decides, not status.
 {
   "$test" -p zipsplat-tests --test kernels -- --ignored reading_beyond_what_is_bound || true
   "$test" --no-fail-fast -p zipsplat-tests --test kernels --test stages -- "${slow[@]/#/--skip=}" || true

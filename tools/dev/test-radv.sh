@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Compiles the kernels with AMD's driver (RADV of Mesa 25) without a GPU; nothing is executed.
-# Prints each kernel's registers, shared memory and occupancy, the worst over its variants, and the
-# inner loops of kernels on matrix units. Fails on rejected kernels and on register spills.
+# Compiles the kernels with AMD's driver (RADV of Mesa 25) without a GPU or execution. Prints each
+# kernel's registers, shared memory and occupancy, the worst over its variants, and inner loops on
+# matrix units. Fails on rejected kernels and register spills.
 # usage: tools/dev/test-radv.sh [FAMILY...]
 #   default navi31 and gfx1151 (matrix units), navi21, vega10. Mesa 25 has no matrices for gfx12.
 set -eEuo pipefail
@@ -39,7 +39,7 @@ for RADV_FORCE_FAMILY in "$@"; do
   said=$work/$RADV_FORCE_FAMILY.log
   forward() { zipsplat bench forward --quiet --weights seeded:vits --views 2 --ratio 0.5 --precision "$1"; }
   {
-    # Doctor and self-tests fail, as nothing computes. Their results are patched to passed.
+    # Doctor and self-tests fail, as nothing computes: patches their results to passed.
     zipsplat doctor --quiet || [[ $? == 5 ]]
     for precision in fp16 bf16 int8; do forward $precision || [[ $? == 3 ]]; done
     sed -Ei 's/":(null|[0-9.e+]+)([,}])/":0.0\2/g; s/"begun":0.0/"begun":0/' "$ZIPSPLAT_CACHE"/self-test/*.json

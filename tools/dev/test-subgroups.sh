@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs kernels and pictures at lavapipe's subgroup sizes 4, 8 and 16, and kernels, pictures and
-# stages on a widened lavapipe at 32, the size on most GPUs.
+# Runs kernels and pictures at lavapipe's subgroup sizes 4, 8 and 16, and with stages on a widened
+# lavapipe at 32, the size on most GPUs.
 set -euo pipefail
 test=$(dirname "${BASH_SOURCE[0]}")/../test.sh
 for width in 128 256 512; do

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes a lavapipe with subgroups of 32 under PREFIX from the one in LAVAPIPE. Lavapipe limits
-# subgroups to 16 at any vector width; this patches the limit in a copy.
+# Makes a lavapipe with subgroups of 32 under PREFIX from the one in LAVAPIPE: patches its limit of
+# 16 at any vector width.
 # usage: tools/dev/wide-lavapipe.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
@@ -12,8 +12,8 @@ exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run || $library -nt $prefix/run ]] || exit 0
 [[ -e $library ]] || { echo "zipsplat: $root has no unpacked lavapipe, which is there on x86-64 only" >&2; exit 1; }
 
-# min(width / 32, 16), compiled: cmp width, 512; mov lanes, 16. Another count of matches than in
-# Mesa 25 and 26 would include unrelated code.
+# min(width / 32, 16), compiled: cmp width, 512; mov lanes, 16. Other counts of matches would
+# include unrelated code.
 perl -0777 -pe '
   s/(\x3d|\x81[\xf8-\xff])\0\x02\0\0([\xb8-\xbf])\x10\0\0\0/$1\0\x04\0\0$2\x20\0\0\0/g == 8
     or die "zipsplat: $ARGV does not compare widths with 512 in 8 places, as Mesa 25 and 26 do: it cannot be widened\n"

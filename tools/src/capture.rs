@@ -1,5 +1,3 @@
-//! Captures: photos with cameras, split into inputs and targets.
-
 use crate::{
     metrics::{self, mean_color, psnr, values},
     photos,
@@ -48,7 +46,7 @@ pub struct Posed {
     pub camera: Camera,
 }
 
-/// Similarity to the prediction and to two baselines, in dB except SSIM.
+/// In dB except SSIM.
 #[derive(Clone, Serialize)]
 pub struct Score {
     pub view: String,
@@ -57,8 +55,7 @@ pub struct Score {
     pub nearest_psnr: f64,
     pub mean_color_psnr: f64,
     pub lpips: Option<f64>,
-    /// Of the prediction with the color transform that fits the photo best, if exposures were
-    /// learned.
+    /// With the color transform that fits the photo best, if exposures were learned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub color_corrected_psnr: Option<f64>,
 }
@@ -70,7 +67,7 @@ impl Choice {
         Self::of(Capture::open(folder)?, folder, views, targets)
     }
 
-    /// Acts as [`Choice::new`] on known frames; `folder` is for messages.
+    /// [`Choice::new`] on known frames; `folder` is for messages.
     pub fn of(poses: Capture, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let is_first = |i: &usize| poses.frames[*i].photo.is_some() && !poses.frames[*i].is_later_view();
         let found: Vec<usize> = (0..poses.frames.len()).filter(is_first).collect();
@@ -198,7 +195,7 @@ pub fn scale_warning(scale: &SceneScale) -> Option<String> {
 }
 
 impl ViewSplit {
-    /// Changes the unit to the median distance of a scene's Gaussians from the first camera.
+    /// Makes the median distance of a scene's Gaussians from the first camera the unit.
     pub fn rescale_to(&mut self, scene: &Scene, origin: String) -> Result<()> {
         let distances = scene.means.iter().map(|mean| DVec3::from(mean.map(f64::from)).length());
         let length = median(distances).filter(|length| *length > 0.0);

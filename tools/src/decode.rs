@@ -16,13 +16,12 @@ use zipsplat::{
 
 /// Output options of ffmpeg for [`read_ppm`].
 pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
-/// Videos and HEIC; excludes playlists, which name other files and addresses.
+/// Excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
 const QUALITY: u8 = 95;
 const MOST_LINES: usize = 3;
 
-/// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns ffmpeg's
-/// warnings.
+/// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns warnings.
 pub fn decode<T: Send + 'static>(
     ffmpeg: &Path,
     file: &Path,
@@ -79,7 +78,7 @@ pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     limits.map(OsString::from).into_iter().chain([name])
 }
 
-/// Returns distinct messages without ffmpeg's memory addresses.
+/// Distinct messages without memory addresses.
 fn words(messages: &str, file: &Path) -> String {
     let name = format!("file:{}: ", file.display());
     let mut lines: Vec<&str> = Vec::new();
@@ -105,7 +104,7 @@ pub fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
     from.read_exact(to).map(|()| true)
 }
 
-/// Reads a `P6` picture of maximum 255; `None` at the end of the stream.
+/// `P6` of maximum 255; `None` at the end of the stream.
 pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> {
     if from.fill_buf()?.is_empty() {
         return Ok(None);
@@ -139,7 +138,7 @@ pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
     write_atomic(path, |out| out.write_all(&bytes))
 }
 
-/// As [`save_jpeg`], with an EXIF focal length in millimeters for 35 mm film, COLMAP's initial one.
+/// With an EXIF focal length in millimeters for 35 mm film, COLMAP's initial one.
 pub fn save_jpeg_of_focal(image: &Image, focal: u16, path: &Path) -> Result<()> {
     let mut bytes = image.jpeg(QUALITY)?;
     let [low, high] = focal.to_le_bytes();

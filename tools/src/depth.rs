@@ -38,7 +38,7 @@ pub struct CamerasFrom {
     #[arg(long, value_enum, value_name = "HOW", default_value = "decoder")]
     camera_source: CameraSource,
     /// Estimate a focal length per photo, different along x and y; by default photos of equal size,
-    /// camera and zoom share one, the median weighted by depth confidence
+    /// camera and zoom share the median weighted by depth confidence
     #[arg(long)]
     per_view_focal: bool,
 }
@@ -81,7 +81,7 @@ impl Quality {
     }
 }
 
-/// Returns the network's own size of square photos.
+/// The network's own size of square photos.
 pub fn square(checkpoint: &DepthCheckpoint) -> Size {
     let side = checkpoint.architecture().fitting().default_bound();
     Size(side, side)
@@ -103,7 +103,6 @@ pub struct PredictedViews {
     pub views: Vec<View>,
     pub depths: DepthPrediction,
     pub cameras: Option<Vec<Camera>>,
-    /// Photos without a camera.
     pub lost: Vec<PathBuf>,
     pub notes: Vec<String>,
     pub network: String,
@@ -133,7 +132,7 @@ impl<'a> PredictorOptions<'a> {
         Self { checkpoint, side: None, masks: None, cameras, arithmetic, request }
     }
 
-    /// Returns the patch tokens of photos with known cameras, and the cameras of the views.
+    /// Patch tokens of photos with known cameras, and the cameras of the views.
     pub fn patch_tokens(
         self,
         session: &mut Session<'_>,
@@ -148,7 +147,7 @@ impl<'a> PredictorOptions<'a> {
         let (tokens, _) = session.stage("features", tokens)?;
         Ok((prepared.known_cameras.unwrap_or_default(), tokens))
     }
-    /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
+    /// Multi-view networks take the cameras of `known` frames, in their unit of length.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&CaptureView]) -> Result<PredictedViews> {
         let (prepared, reading) = session.stage("load photos", |stage| self.read(photos, known, stage))?;
         let device = session.device()?;
@@ -312,8 +311,7 @@ impl PredictedViews {
         self.cameras.iter().flatten().enumerate().map(frame).collect()
     }
 
-    /// Returns the scene of confident pixels, at most `keep` per patch, in the frame of `first`.
-    /// Depth is scaled.
+    /// Confident pixels, at most `keep` per patch, in the frame of `first`, with scaled depth.
     pub fn scene(&self, first: &Pose, keep: Option<u32>) -> Result<Scene> {
         let cameras: Vec<Camera> = self.cameras.iter().flatten().map(|camera| camera.relative_to(first)).collect();
         let images = self.images();
@@ -332,7 +330,7 @@ impl PredictedViews {
         [self.depths.patches.as_ref().map_or(all, Vec::len), all]
     }
 
-    /// Returns up to `most` points; none without cameras.
+    /// At most `most`; none without cameras.
     pub fn points(&self, most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let Some(cameras) = &self.cameras else { return Vec::new() };
         self.depths.points(cameras, &self.images(), most)

@@ -27,9 +27,9 @@ use zipsplat::{
     weights::DepthHeads,
 };
 
-/// File of `depth` with the depth of all its photos.
+/// Depth of all photos, of `depth`.
 pub const VALUES: &str = "depths.safetensors";
-/// Metadata of [`VALUES`]: the photos' names without extension.
+/// Photos' names without extension.
 pub const PHOTOS: &str = "zipsplat.photos";
 
 const EXTENSIONS: [&str; 3] = ["npy", "exr", "png"];
@@ -55,9 +55,8 @@ enum Source {
 }
 
 impl KnownDepth {
-    /// Opens the depth of photos in `source`: a folder, a transforms.json, or the name or weights
-    /// of a depth network. `cameras` are those of the refinement's photos, in a scene whose unit
-    /// has the length `unit`.
+    /// `source`: a folder, a transforms.json, or the name or weights of a depth network. `cameras`
+    /// are those of the refinement's photos, in a scene whose unit has the length `unit`.
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,
@@ -94,7 +93,7 @@ impl KnownDepth {
         Ok(Self { kind, maps: sources.into_iter().zip(frames).zip(cameras).map(map).collect(), unit })
     }
 
-    /// Returns stamps of the depth for a checkpoint.
+    /// For a checkpoint.
     pub fn stamps(&self) -> Result<Vec<String>> {
         let of = |map: &Option<DepthMap>| match map.as_ref().map(|map| &map.source) {
             None => Ok("no depth".to_owned()),
@@ -137,7 +136,7 @@ impl<P: Photos> Photos for WithDepth<'_, P> {
     }
 }
 
-/// Finds the files that a transforms.json lists as `depth_file_path`.
+/// Files of `depth_file_path` in a transforms.json.
 fn listed(file: &Path, frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     let text = std::fs::read_to_string(file).map_err(|error| Error::io(file, error))?;
     let json: Value = serde_json::from_str(&text).map_err(|error| Error::format(file, None, error.to_string()))?;
@@ -167,7 +166,7 @@ pub fn read(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> R
     read_file(&file, &frame.camera.intrinsics, &camera.intrinsics, unit)
 }
 
-/// Reads the depth of a whole photo, nearest sampled for a camera and divided by `unit`.
+/// Depth of a whole photo, nearest sampled for a camera and divided by `unit`.
 fn read_file(file: &Path, photo: &Intrinsics, camera: &Intrinsics, unit: f64) -> Result<Vec<f32>> {
     let ([width, height], values) = match file.extension().and_then(|extension| extension.to_str()) {
         Some("png") => read_png(file)?,
@@ -196,7 +195,7 @@ fn malformed(file: &Path, found: impl Display, expected: &str) -> Error {
     Error::format(file, None, format!("found {found}, expected {expected}"))
 }
 
-/// Reads 16-bit levels, as of `render --depth` and many sensors: millimeters if a unit is a meter.
+/// 16-bit levels, as of `render --depth` and many sensors: millimeters if a unit is a meter.
 fn read_png(file: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let expected = format!("a 16-bit gray PNG of {DEPTH_LEVELS} levels per unit");
     let picture = image::open(file).map_err(|error| malformed(file, error, &expected))?;
@@ -245,7 +244,7 @@ fn pixels(axis: usize, of: &Intrinsics, from: &Intrinsics) -> Vec<Option<usize>>
     (0..count).map(|k| inside(at(k))).collect()
 }
 
-/// Reads the photos' depth that `depth` wrote.
+/// Reads [`VALUES`].
 fn read_values(file: &Path, photos: &[PathBuf], frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     let bytes = std::fs::read(file).map_err(|error| Error::io(file, error))?;
     let malformed = |found: String| malformed(file, found, "depth [photos, height, width] of `zipsplat depth`");

@@ -1,4 +1,4 @@
-//! Commands and options by their earlier names, rewritten before parsing; for one release.
+//! Earlier names of commands and options, rewritten before parsing; for one release.
 
 use std::ffi::OsString;
 

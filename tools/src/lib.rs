@@ -1,5 +1,4 @@
-//! The `zipsplat` command as a library, for the command and its tests: [`run`] maps arguments to an
-//! exit code.
+//! The `zipsplat` command as a library, for the command and its tests.
 
 #![allow(missing_docs)]
 
@@ -77,7 +76,7 @@ struct Cli {
 }
 
 const SHORTEST_CLAUSE: usize = 16;
-/// Options in `-h`, besides positional arguments and the options of every command.
+/// Options in `-h`, besides positional arguments and those of every command.
 const SHORT_HELP: [(&str, &[&str]); 10] = [
     (
         "reconstruct",
@@ -99,7 +98,6 @@ const SHORT_HELP: [(&str, &[&str]); 10] = [
     ("convert", &["spz_version", "dtype", "drop_invalid", "overwrite"]),
     ("doctor", &["only", "report", "verbose"]),
 ];
-/// Hides the other options from `-h`.
 fn short_help(command: clap::Command) -> clap::Command {
     let command = command.mut_args(shortened);
     SHORT_HELP.into_iter().fold(command, |command, (name, shown)| {

@@ -82,7 +82,7 @@ impl ValueFiles {
         self.0.iter().map(|(_, camera, _)| *camera).collect()
     }
 
-    /// Reads the values of a photo, without its lens's distortion: the nearest, or NaN outside.
+    /// Without the lens's distortion: the nearest value, or NaN outside.
     pub fn read(&self, i: usize, labels: Option<usize>) -> Result<PixelValues> {
         let (path, _, lens) = &self.0[i];
         let values = read_values(path, labels)?;
@@ -101,7 +101,7 @@ impl ValueFiles {
     }
 }
 
-/// Gives each channel mean 0 and standard deviation 1. Otherwise few channels decide all cosines.
+/// To mean 0 and standard deviation 1. Otherwise few channels decide all cosines.
 fn standardize(views: &mut [PixelValues]) {
     let channels = views.first().map_or(0, |view| view.channels);
     let count = views.iter().map(|view| view.values.len()).sum::<usize>() as f64 / channels.max(1) as f64;
@@ -115,8 +115,8 @@ fn standardize(views: &mut [PixelValues]) {
     }
 }
 
-/// Returns a network's patch tokens of at most `views` evenly spaced photos, standardized by
-/// channel, and the cameras of the cropped photos.
+/// Standardized patch tokens of at most `views` evenly spaced photos, and the cameras of the
+/// cropped photos.
 pub fn of_network(
     session: &mut Session<'_>,
     weights: &Weights,
@@ -162,8 +162,8 @@ fn tokens_of(
     Ok((seen.cameras.into_iter().map(here).collect(), features.patch_tokens()?))
 }
 
-/// Reads `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or labels as
-/// one channel each, where other values do not count.
+/// `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or a channel per
+/// label, where other values do not count.
 fn read_values(path: &Path, labels: Option<usize>) -> Result<PixelValues> {
     if path.extension().is_some_and(|ext| ext == "npy") {
         let ([height, width, channels], values) = npy::read_array(path, "height, width, channels")?;

@@ -9,22 +9,21 @@ const ALPHA: &str = "alpha";
 
 #[derive(Args, Clone, Debug, Default)]
 pub struct MaskArgs {
-    /// Masks of the photos, whose pixels of 0 are ignored by COLMAP, scenes, refinement and scores:
-    /// a folder of PNGs of the photos' sizes and names (1.png or 1.jpg.png for 1.jpg), below each
-    /// capture with --each; alpha: the photos' alpha channels
+    /// Masks of the photos: COLMAP, scenes, refinement and scores ignore pixels of 0. A folder of
+    /// PNGs of the photos' sizes and names (1.png or 1.jpg.png for 1.jpg), below each capture with
+    /// --each; alpha: the photos' alpha channels
     #[arg(long, value_name = "DIR|alpha")]
     masks: Option<PathBuf>,
     /// Ignore the pixels that are not 0, instead
     #[arg(long, requires = "masks")]
     invert_masks: bool,
-    /// Masks of photos that were cut.
+    /// Of cut photos.
     #[arg(skip)]
     cut: OnceLock<Masks>,
 }
 
 impl MaskArgs {
-    /// Returns the masks of photos in this folder, if given. A folder of masks named `alpha` is
-    /// `./alpha`.
+    /// For photos in this folder. A folder of masks named `alpha` is `./alpha`.
     pub fn below(&self, folder: &Path) -> Option<Masks> {
         let source = |masks: &PathBuf| match masks {
             masks if masks == Path::new(ALPHA) => MaskSource::Alpha,

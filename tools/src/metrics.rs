@@ -9,7 +9,7 @@ use zipsplat::{
     types::{Image, MASKED},
 };
 
-/// Standard deviation of SSIM's window, in pixels.
+/// Of SSIM's window, in pixels.
 const SIGMA: f64 = 1.5;
 const RADIUS: usize = 5;
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
@@ -31,8 +31,7 @@ pub fn mean_color(picture: &[f32]) -> Vec<f32> {
     (0..picture.len()).map(|i| (sums[i % 3] * 3.0 / picture.len() as f64) as f32).collect()
 }
 
-/// Returns the structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al.
-/// 2004).
+/// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004).
 ///
 /// Matches scikit-image's `structural_similarity(a, b, win_size=11, data_range=1, channel_axis=-1,
 /// gaussian_weights=True)`: mean over channels and complete windows, K1 = 0.01, K2 = 0.03, sample
@@ -41,8 +40,8 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     ssim_where(a, b, [width, height], |_| true)
 }
 
-/// Returns the SSIM of two pictures that are gray where the mask of `image` ignores it, over the
-/// windows whose center it keeps. `b` are the image's values.
+/// SSIM of pictures that are gray where the mask of `image` ignores pixels, over the windows whose
+/// center it keeps. `b` are the image's values.
 pub fn masked_ssim(image: &Image, a: &[f32], b: &[f32]) -> f64 {
     let [a, b] = hidden(image, a, b);
     ssim_where(&a, &b, [image.width as usize, image.height as usize], |center| !image.ignores(center))
@@ -112,7 +111,7 @@ enum Network {
 }
 
 impl LpipsOption {
-    /// Finds the weights; `None` if they are missing and neither requested nor `required`.
+    /// `None` if the weights are missing and neither requested nor `required`.
     pub fn file(&self, cache: Option<&Path>, required: bool) -> Result<Option<(LpipsNetwork, PathBuf)>> {
         let network = match self.lpips {
             Some(Network::None) => return Ok(None),
@@ -133,23 +132,22 @@ impl LpipsOption {
         self.lpips.is_none()
     }
 
-    /// Loads [`LpipsOption::file`], with `gradients` or for the distance alone.
+    /// Opens [`LpipsOption::file`], with `gradients` or for the distance alone.
     pub fn open(&self, device: &Device, gradients: bool, required: bool) -> Result<Option<Perceptual>> {
         let found = self.file(device.cache_dir(), required)?;
         found.map(|(network, path)| Perceptual::open(device, network, &path, gradients)).transpose()
     }
 }
 
-/// Returns the LPIPS of a picture and `image`, both gray where its mask ignores pixels, per kept
-/// fraction of the pixels; `None` as [`lpips`].
+/// LPIPS of a picture and `image`, both gray where its mask ignores pixels, per kept fraction of
+/// the pixels; `None` as [`lpips`].
 pub fn masked_lpips(network: Option<&mut Perceptual>, image: &Image, picture: &[f32]) -> Result<Option<f64>> {
     let [a, b] = hidden(image, picture, &values(image));
     let kept = image.kept(&image.rgb).len() as f64 / image.rgb.len() as f64;
     Ok(lpips(network, [&a, &b], [image.width, image.height])?.map(|distance| distance / kept))
 }
 
-/// `None` without a network, or for pictures that are too small. Pictures are
-/// `[height][width][rgb]` in 0..1.
+/// `None` without a network, or if the pictures, `[height][width][rgb]` in 0..1, are too small.
 pub fn lpips(network: Option<&mut Perceptual>, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<Option<f64>> {
     match network {
         Some(network) if size[0].min(size[1]) >= network.network().least_side() => {

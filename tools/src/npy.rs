@@ -1,5 +1,4 @@
-//! NumPy `.npy` arrays, f32 `[height][width]` or `[height][width][channels]`, little-endian,
-//! row-major.
+//! `.npy` arrays, f32 `[height][width]` or `[height][width][channels]`, little-endian, row-major.
 
 use std::path::Path;
 use zipsplat::{Error, Result};
@@ -21,7 +20,7 @@ pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
     Ok(([width, height], values))
 }
 
-/// Reads an array of `N` dimensions, which `named` lists.
+/// `named` lists the dimensions.
 pub fn read_array<const N: usize>(path: &Path, named: &str) -> Result<([u32; N], Vec<f32>)> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |found: &str| {

@@ -153,7 +153,7 @@ pub struct Quality {
 
 #[derive(Args)]
 pub struct SceneInput {
-    /// Drop Gaussians with NaN, infinite or out-of-range values, which are otherwise an error
+    /// Drop Gaussians with NaN, infinite or out-of-range values, otherwise an error
     #[arg(long)]
     drop_invalid: bool,
     #[command(flatten)]
@@ -232,7 +232,6 @@ impl Quality {
         }
     }
 
-    /// Returns the shape of a pass over `views` views.
     pub fn shape(&self, architecture: &Architecture, views: usize, size: Size, cameras: bool) -> Result<Shape> {
         let chosen = (self.ratio, &self.token_selection);
         Shape::new(architecture, views, [size.0, size.1], chosen, cameras)?.pooled(self.kv_pool)
@@ -284,7 +283,6 @@ pub enum PrecisionName {
 }
 
 impl PrecisionName {
-    /// `None` for the device's best.
     pub fn precision(self) -> Option<Precision> {
         match self {
             Self::Auto => None,
@@ -315,7 +313,7 @@ impl ArithmeticOption {
     }
 }
 
-/// `None` keeps all.
+/// `None`: all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Keep(Option<u32>);
 
@@ -371,7 +369,7 @@ impl fmt::Display for Size {
     }
 }
 
-/// Leaves the number's range to the engine.
+/// The engine checks the range.
 pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     match text {
         "auto" => Ok(Ratio::Auto),
@@ -384,7 +382,7 @@ pub fn parse_length(text: &str) -> Result<f64, String> {
     length.ok_or_else(|| "expected a number above 0".into())
 }
 
-/// Reads the indices of a file, separated by white space, if `text` is none of the names.
+/// Reads a file of indices, separated by white space, if `text` is no name.
 pub fn parse_selection(text: &str) -> Result<TokenSelection, String> {
     text.parse().or_else(|unknown| match fs::read_to_string(text) {
         Err(_) => Err(format!("{unknown}, or a file of indices")),

@@ -1,4 +1,4 @@
-//! Output files: checked before any work, written atomically.
+//! Checked before any work, written atomically.
 
 use clap::Args;
 use png::{BitDepth, ColorType, Compression};
@@ -14,13 +14,13 @@ use zipsplat::{
     types::{Image, Origin, SaveOptions, Scene, SceneFormat, Unfinished, World, spz_coarsening, write_atomic},
 };
 
-/// Levels of 16-bit depth per world unit.
+/// Per world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
 pub const MADE_BY: &str = "zipsplat";
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
 /// Bytes searched at each end of a file.
 const SEARCHED: u64 = 1 << 16;
-/// File signatures with their author marks. `.splat` has none.
+/// File signatures with author marks. `.splat` has none.
 const MARKS: [(&[u8], &[u8]); 23] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
@@ -104,8 +104,7 @@ pub fn is_own(path: &Path) -> bool {
     read().is_ok_and(|bytes| MARKS.iter().any(|(start, mark)| bytes.starts_with(start) && holds(&bytes, mark)))
 }
 
-/// Removes `own` files of a longer earlier run: names that begin with at least three digits, from
-/// `count` on.
+/// Removes `own` files of a longer earlier run: names of at least three digits, from `count` on.
 pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) -> Result<()> {
     let failed = |error| Error::io(folder, error);
     for entry in folder.read_dir().map_err(failed)? {
@@ -121,7 +120,7 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
     Ok(())
 }
 
-/// Creates and removes a temporary file in the folder of `path`.
+/// By a temporary file in the folder of `path`.
 fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {
@@ -146,7 +145,7 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Writes a scene with its world for `render`. Returns notes on properties that the format drops.
+/// Also saves its world for `render`. Returns notes on properties that the format drops.
 pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<Vec<String>> {
     scene.save_in(path, options, world)?;
     let (mut notes, file) = (Vec::new(), path.display());
@@ -180,7 +179,7 @@ impl Failure {
         Self { capture: capture.to_string(), error: error.to_string() }
     }
 
-    /// Returns true if later captures would fail alike.
+    /// Later captures would fail alike.
     pub fn is_of_all(error: &Error) -> bool {
         matches!(error, Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))
     }
@@ -223,7 +222,7 @@ pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result
     save_png(path, [width, height], ColorType::Grayscale, BitDepth::Eight, &levels, None)
 }
 
-/// Writes depth as 16-bit gray with its scale, [`DEPTH_LEVELS`] per world unit, saturated.
+/// 16-bit gray with its scale, [`DEPTH_LEVELS`] per world unit, saturated.
 pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
     save_depth_levels(path, [width, height], depth, DEPTH_LEVELS)
 }

@@ -70,9 +70,9 @@ impl PhotoArgs {
 }
 
 impl Reading {
-    /// Also converts videos and HEIC: `frames` per video, or a default. Of photos that are
-    /// `unposed`, takes `frames`, and cuts 360-degree ones, with their masks. The folder of
-    /// converted photos lies beside their camera file, if any.
+    /// Also converts videos and HEIC: `frames` per video, or a default. Of `unposed` photos, takes
+    /// `frames` and cuts 360-degree ones, with their masks. The folder of converted photos lies
+    /// beside their camera file, if any.
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -211,8 +211,7 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Splits files into photos and others. Skips a HEIC picture whose folder has its conversion, a
-/// photo of the same name.
+/// Splits files into photos and others. HEIC pictures beside a photo of the same name are others.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();
@@ -297,8 +296,8 @@ pub fn spread(photos: Vec<PathBuf>, count: Option<u32>) -> Vec<PathBuf> {
     (0..count).map(|i| photos[(i * last + steps / 2) / steps].clone()).collect()
 }
 
-/// Photos that are opened when needed, with `frames` as by [`CaptureView::open`]: COLMAP's cameras
-/// ignore the EXIF orientation.
+/// Photos opened when needed, with `frames` as by [`CaptureView::open`]: COLMAP's cameras ignore
+/// the EXIF orientation.
 pub struct PhotoFiles<'a> {
     paths: &'a [PathBuf],
     frames: &'a [&'a CaptureView],
@@ -341,7 +340,7 @@ fn open(path: &Path, frame: Option<&&CaptureView>, masks: Option<&Masks>) -> Res
     }
 }
 
-/// Reads photos concurrently and maps them with `make`, by index.
+/// Reads photos concurrently.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&CaptureView],

@@ -18,7 +18,6 @@ use zipsplat::{
 
 pub const SHEET: &str = "contact.png";
 const SHEET_SIDE: u32 = 4096;
-/// Another batch may queue.
 const BATCH: u64 = 8;
 const BATCH_PIXELS: u64 = 1 << 24;
 /// Half a level of 256.
@@ -36,7 +35,7 @@ pub struct Drawn {
     pub empty: bool,
 }
 
-/// Optional files in addition to `000.png`.
+/// Files in addition to `000.png`.
 fn layers(request: &RenderOptions) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),
@@ -72,7 +71,7 @@ pub fn draw(
         let drawing = scope.spawn(move || {
             renderer.render_each(cameras, request, |index, frame| {
                 stage.reach(index as f64 / cameras.len() as f64)?;
-                // The receiver is gone after a write error, which is reported.
+                // Gone after a write error, which is reported.
                 sender.send(frame).map_err(|_| Error::Cancelled)
             })
         });
@@ -88,7 +87,7 @@ pub fn sheet_columns(frames: usize) -> usize {
     (1..).find(|columns| columns * columns >= frames).unwrap_or(frames)
 }
 
-/// At most [`BATCH`], fewer for large pictures.
+/// Fewer than [`BATCH`] for large pictures.
 fn batch(cameras: &[Camera]) -> usize {
     let pixels = |camera: &Camera| u64::from(camera.intrinsics.width) * u64::from(camera.intrinsics.height);
     let largest = cameras.iter().map(pixels).max().unwrap_or(0).max(1);

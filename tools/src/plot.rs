@@ -1,13 +1,13 @@
 use plotters::{coord::Shift, prelude::*};
 use std::{fmt::Write, iter, ops::Range};
 
-/// In pixels, without the legend; browsers scale it.
+/// In pixels, without the legend.
 const SIZE: (u32, u32) = (440, 330);
 const MARGIN: i32 = 8;
-/// Height of a row of the legend, and mean width of a letter.
+/// Row height of the legend, and mean width of a letter.
 const ROW: i32 = 20;
 const LETTER: i32 = 7;
-/// Colors for any color vision (Okabe and Ito); their number limits the series.
+/// For any color vision (Okabe and Ito); their number limits the series.
 const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -47,7 +47,7 @@ pub struct Axis<'a> {
 }
 
 /// Returns an SVG with a legend titled `meaning`. Omits non-finite points and series past the
-/// sixth, which the legend counts. `beneath` is a gray line without points.
+/// sixth. `beneath` is a gray line without points.
 pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
     let shown = &series[..series.len().min(COLORS.len())];
     let place = |at: &At| At { x: x.position(at.x), y: y.position(at.y), of: at.of };
@@ -89,7 +89,7 @@ pub fn sheet(plots: &[(&str, String)]) -> String {
 fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
     let mut pieces = svg.split("<circle");
     let mut numbered = pieces.next().unwrap_or_default().to_owned();
-    // Circles of the legend come last and have no number.
+    // Circles of the legend come last, without a number.
     for (piece, number) in pieces.zip(numbers.chain(iter::repeat(None))) {
         numbered += "<circle";
         if let Some(number) = number {
@@ -228,7 +228,6 @@ mod tests {
         let [low, high] = [&[][..], &high].map(|series| plot(LOG, LOG, "letters", series, None));
         let sheet = sheet(&[("first", low.clone()), ("second", high.clone()), ("third", low)]);
         assert_eq!(sheet.matches("<svg").count(), 4);
-        // The second row begins below the highest plot of the first.
         let places = ["x=\"0\" y=\"28\"", "x=\"440\" y=\"28\"", "x=\"0\" y=\"454\""];
         assert!(places.iter().all(|place| sheet.contains(place)), "{sheet}");
     }
@@ -237,7 +236,6 @@ mod tests {
     fn at_most_six_series_have_a_color_each() {
         let all: Vec<Series> = ('a'..='h').map(|name| series(&name.to_string(), &[(1.0, 1.0)])).collect();
         let html = plot(LOG, LOG, "letters", &all, Some(&series("front", &[(1.0, 1.0), (2.0, 2.0)])));
-        // Points, and the legend's six series and line.
         assert_eq!(html.matches("<circle").count(), 6 + 6 + 1);
         assert_eq!(html.matches("<circle data-point").count(), 6);
         assert!(html.contains("2 more") && html.contains("front"), "{html}");

@@ -18,14 +18,12 @@ pub const POLL: Duration = Duration::from_millis(10);
 /// Timeout for the last output of an ended process.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
-/// Process groups for [`end_all`].
 static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
 /// Process in its own group, which ends on drop or with this command.
 pub struct Running(pub Child, Option<Child>);
 
-/// Reads a group number, then kills the group at the end of standard input, which closes with this
-/// command.
+/// Kills the group of a given number when standard input closes, with this command.
 #[cfg(unix)]
 const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 
@@ -81,7 +79,7 @@ fn set_group(command: &mut Command) {
     std::os::unix::process::CommandExt::process_group(command, 0);
 }
 
-/// Starts a shell that ends a group if this command is killed.
+/// A shell that ends a group if this command is killed.
 #[cfg(unix)]
 fn watch() -> Option<Child> {
     let mut command = Command::new("/bin/sh");
@@ -108,7 +106,6 @@ impl Drop for Running {
         // After `wait` the number may belong to another process.
         end_watch(&mut self.1);
         lock(&STARTED).retain(|id| *id != self.0.id());
-        // Reaps the child.
         let _ = self.0.wait();
     }
 }
@@ -137,7 +134,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
     let (reader, writer) = io::pipe().map_err(failed)?;
     command.stdin(Stdio::null()).stdout(writer.try_clone().map_err(failed)?).stderr(writer);
     let mut running = Running::start(command).map_err(failed)?;
-    // Drops our pipe ends, so that the reader sees the end.
+    // So that the reader sees the end.
     command.stdout(Stdio::null()).stderr(Stdio::null());
     let (send, lines) = channel();
     std::thread::spawn(move || {

@@ -11,12 +11,12 @@ pub struct Released {
     pub what: &'static str,
     pub license: &'static str,
     pub terms: &'static str,
-    /// Approximate download size.
+    /// Approximate.
     pub bytes: u64,
     pub kind: Kind,
     repository: &'static str,
     file: &'static str,
-    /// File name in the cache, without the hash.
+    /// In the cache, without the hash.
     kept_as: &'static str,
 }
 
@@ -124,7 +124,7 @@ impl Released {
         folder.join(self.kept_as)
     }
 
-    /// The file itself for unconverted weights.
+    /// The file itself if unconverted.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
         match self.kind {
@@ -169,7 +169,7 @@ pub fn folder() -> Result<PathBuf> {
     cache.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE, or HOME, in the environment"))
 }
 
-/// `None` if `name` is no name.
+/// `None` for a file.
 pub fn find(name: &str) -> Result<Option<PathBuf>> {
     let Some(released) = Released::named(name) else { return check_name(name).map(|()| None) };
     let folder = folder()?;
@@ -184,7 +184,6 @@ pub fn find(name: &str) -> Result<Option<PathBuf>> {
     released.cached(&folder).into_iter().next().map(Some).ok_or_else(expected)
 }
 
-/// Rejects a bare word that is neither a known name nor a file.
 fn check_name(name: &str) -> Result<()> {
     let is_bare = !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte));
     if !is_bare || Path::new(name).exists() {
@@ -199,17 +198,17 @@ pub fn is_of_depth(text: &str) -> bool {
     Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
 }
 
-/// Opens a name, `seeded:NAME`, or a file. `whole` includes any Gaussian head.
+/// Opens a name, `seeded:NAME`, or a file.
 pub fn open_depth(text: &str, heads: DepthHeads) -> Result<DepthCheckpoint> {
     opener(text)?(heads)
 }
 
-/// Opens a depth network with the Gaussian head, if there is one.
+/// With the Gaussian head, if there is one.
 pub fn open_whole_depth(text: &str) -> Result<DepthCheckpoint> {
     DepthCheckpoint::whole(opener(text)?)
 }
 
-/// Opens a depth network with all of its heads.
+/// With all heads.
 pub fn open_complete_depth(text: &str) -> Result<DepthCheckpoint> {
     DepthCheckpoint::with_all(opener(text)?)
 }

@@ -1,4 +1,4 @@
-//! Temporary folders, also removed after a killed process, by the next run.
+//! Temporary folders; the next run removes those of killed processes.
 
 use std::{
     fs::{File, FileType, TryLockError},
@@ -7,12 +7,12 @@ use std::{
 use tempfile::TempDir;
 use zipsplat::{Error, Result, types::remove_stale};
 
-/// Name prefix; unlocked folders with it are removed.
+/// Unlocked folders with this prefix are removed.
 const PREFIX: &str = ".zipsplat-scratch-";
 
 pub struct Scratch {
     folder: TempDir,
-    // `None` on systems without folder locks, where nothing is removed.
+    // `None` on systems without folder locks.
     _lock: Option<File>,
 }
 
@@ -24,7 +24,7 @@ impl Scratch {
             let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
             let lock = File::open(folder.path()).ok();
             let locked = lock.as_ref().map(File::try_lock);
-            // Another process may have removed it before the lock.
+            // Another process may have removed it.
             if !matches!(locked, Some(Err(TryLockError::WouldBlock))) && folder.path().exists() {
                 return Ok(Self { folder, _lock: lock });
             }

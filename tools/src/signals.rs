@@ -1,8 +1,8 @@
 use crate::{CANCELLED, process};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Returns a flag for [`Terminal::cancelled`](crate::Terminal), set by SIGINT, SIGTERM or SIGHUP. A
-/// second signal ends the process and its children at once, without removing temporary files.
+/// Flag for [`Terminal::cancelled`](crate::Terminal), set by SIGINT, SIGTERM or SIGHUP. A second
+/// signal ends the process and its children at once, without removing temporary files.
 pub fn cancelled_by_signals() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
     if !outlives_terminal() {

@@ -1,4 +1,4 @@
-//! Input stamps for skipping finished work.
+//! Stamps of inputs, for skipping finished work.
 
 use sha2::{Digest, Sha256};
 use std::{fs::File, path::Path, time::SystemTime};
@@ -11,7 +11,7 @@ pub fn stamp(path: &Path) -> Result<String> {
     Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
-/// Returns the SHA-256 of a file, or of a folder's files; nothing for a name of weights.
+/// SHA-256 of a file or of a folder's files; nothing for a name.
 pub fn hash_of_weights(weights: &Path) -> Result<String> {
     let mut hash = Sha256::new();
     let mut files = vec![weights.to_owned()];

@@ -13,9 +13,9 @@ use zipsplat::{Error, Result};
 
 const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp", "mts"];
 pub const FRAMES: usize = 24;
-/// Longer side for measuring sharpness, small enough to suppress noise.
+/// Longer side for measuring sharpness: suppresses noise.
 const SIDE: usize = 512;
-/// Regular timestamps; otherwise ffmpeg drops and duplicates frames.
+/// Otherwise ffmpeg drops and duplicates frames.
 const REGULAR: &str = "setpts=N/25/TB";
 /// Excludes cover pictures.
 const PICTURES: [&str; 2] = ["-map", "0:v:0"];
@@ -34,7 +34,7 @@ impl FrameFolder {
         Ok(Self { path: scratch.path().to_owned(), kept: true, _scratch: Some(scratch) })
     }
 
-    /// Creates `frames` next to a camera file, or keeps an existing one with `overwrite`.
+    /// Creates `frames` next to a camera file; an existing one stays with `overwrite`.
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
         file.parent().map_or(Ok(()), make_folder)?;
@@ -73,7 +73,7 @@ pub fn is_video(path: &Path) -> bool {
     extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
 }
 
-/// Writes the sharpest frame of each of `count` equal parts, upright and in order, such as
+/// The sharpest frame of each of `count` equal parts, upright and in order, such as
 /// `clip-00042.jpg` by frame number.
 pub fn sharpest_frames(
     session: &mut Session<'_>,

@@ -26,7 +26,7 @@ pub enum Crop {
     #[value(alias = "crop")]
     Center,
     /// Whole photo, as square tiles with a rotated camera each. Needs known cameras; twice the
-    /// views, time and memory for photos up to 2:1
+    /// views, time and memory up to 2:1
     #[value(alias = "squares")]
     Tiles,
 }
@@ -145,7 +145,7 @@ impl Seeing {
 }
 
 impl Views {
-    /// Takes photo sizes for the note. The first camera has the pose `world` in the cameras' world.
+    /// The note needs photo sizes. The first camera has the pose `world` in the cameras' world.
     pub fn new(
         crop: Crop,
         inputs: impl Iterator<Item = NetworkInput>,

@@ -18,7 +18,7 @@ from model import ZipSplat, nearest_tokens
 from vggt import DEVIATION, MEAN, Aggregator
 from weights import Architecture, load, seeded
 
-# Bound on a tap's maximum error over the truth's RMS, from f32 rounding.
+# Of a tap's maximum error over the truth's RMS, from f32 rounding.
 TOLERANCE = 3e-5
 
 # Columns of packed Gaussians.
@@ -45,15 +45,15 @@ GOLDENS = [
 ]  # fmt: skip
 
 
-# A tiny Depth Anything 3, and the reference view of each of its goldens.
+# The dictionary has the reference view of each golden.
 DEPTH = """{"name": "da3_tiny", "features": 32, "channels": [16, 24, 32, 48], "backbone": {"width": 128, "depth": 6,
     "heads": 2, "ffn": "gelu", "ffn_hidden": 512, "patch": 14, "position_grid": 37, "alt_start": 2, "qk_norm_start": 2,
     "rope_start": 2, "out_layers": [2, 3, 4, 5]}}"""
 DEPTH_GOLDENS = {"v1": 0, "v2": 0, "v3": 1}
 
 
-# Tiny aggregators of VGGT: width, heads, blocks of the embedding, pairs, side of the position grid;
-# pairs with features; cases.
+# Tiny aggregators: width, heads, blocks of the embedding, pairs, side of the position grid; pairs
+# with features; cases.
 VGGT = {
     "vggt_tiny": ((64, 2, 3, 5, 37), (1, 2, 3, 4), ("v1", "v2", "v3")),
     "vggt_micro": ((32, 1, 2, 3, 4), (0, 1, 1, 2), ("v3", "native", "up")),

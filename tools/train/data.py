@@ -14,12 +14,11 @@ import torch.nn.functional as F
 MAGIC, FORMAT = b"ZSSCENES", 1
 HEADER = np.dtype([("magic", "S8"), ("format", "<u4"), ("generator", "<u4"), ("scenes", "<u8"), ("vhw", "<u4", 3)])
 
-# B scenes of V context and C target views, in the frame of the first context view, with unit
-# median distance:
-# images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx fy cx cy;
-# colors [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics: targets;
-# points [B, M, 3]: visible surface points; anchors [B, V * T, rows, columns, 3]: surface points at
-# the centers of each patch's cells.
+# B scenes of V context and C target views, in the frame of the first context view, with unit median
+# distance: images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx
+# fy cx cy; colors [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics:
+# targets; points [B, M, 3]: visible surface points; anchors [B, V * T, rows, columns, 3]: surface
+# points at the centers of each patch's cells.
 Batch = namedtuple("Batch", "images poses intrinsics colors depth viewmats target_intrinsics points anchors")
 
 # Distance of the sky in anchors, and the largest one, in median distances.
@@ -82,7 +81,6 @@ class Pool:
         self.waited = 0.0
         self.rows = self.columns(capacity, device=self.device)
         self.ready, self.free = queue.Queue(), queue.Queue()
-        # On a GPU, filling overlaps with compilation.
         for _ in range(64 if self.device.type == "cuda" else 4):
             self.free.put((self.columns(self.block, pin_memory=self.device.type == "cuda"), None))
         threading.Thread(target=self.read, daemon=True).start()

@@ -14,7 +14,7 @@ from model import VisionTransformer
 
 EPS = 1e-5
 HIDDEN = 32
-# Amplitude and frequency base of the positional encoding.
+# Of the positional encoding.
 SHARE, BASE = 0.1, 100.0
 
 
@@ -105,7 +105,7 @@ class Head(nn.Module):
         parts["output_conv2"] = nn.Sequential(
             nn.Conv2d(f // 2, HIDDEN, 3, padding=1), nn.ReLU(), nn.Conv2d(HIDDEN, 2, 1)
         )
-        # All four ray heads use the norm that files store under the first.
+        # Files store one norm for all four ray heads.
         rays = {"0": nn.Conv2d(f // 2, HIDDEN, 3, padding=1), "5": nn.Conv2d(HIDDEN, 7, 1)}
         parts["output_conv1_aux"] = nn.ModuleDict({"3": convolutions(f, f // 2, f, f // 2, f, f // 2)})
         parts["output_conv2_aux"] = nn.ModuleDict(

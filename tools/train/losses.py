@@ -38,7 +38,7 @@ class Lpips(nn.Module):
     """LPIPS 0.1 by VGG16 (Zhang et al. 2018), differentiable in the first picture."""
 
     CHANNELS = (64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512)
-    # Convolutions after a pooling. Features are compared before each pooling and at the end.
+    # Convolutions after a pooling; features are compared before each and at the end.
     POOLED = (2, 4, 7, 10)
     SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
@@ -74,7 +74,7 @@ class Lpips(nn.Module):
         return distance
 
 
-# Most distances of the Chamfer search in memory at a time, 256 MiB.
+# Distances of the Chamfer search in memory, 256 MiB.
 PAIRS = 1 << 26
 
 

@@ -7,7 +7,7 @@ from parallel import distributed_like, full
 # First layer of the camera encoder, last of the head: Muon's steps, equally long in all
 # directions, do not suit these.
 ENDS = ("pose_branch.fc1.weight", "gaussian_head.1.weight")
-# Rates relative to the base rate, by setting and start of the names.
+# Relative to the base rate, by setting and prefix of names.
 SHARES = {"camera_rate": "backbone.cam_enc.", "backbone_rate": "backbone."}
 
 
@@ -29,7 +29,7 @@ class Optimizer:
         wide, narrow = ([p for p in rest if (p.ndim > 1) == is_wide] for is_wide in (True, False))
         decayed = groups(wide, config["weight_decay"]) + groups(narrow, 0.0)
         self.adamw = torch.optim.AdamW(decayed, lr=0.0, betas=config["betas"], fused=True)
-        # RMS matched to AdamW, so both use the same rate.
+        # RMS matched to AdamW: both use the same rate.
         decayed = groups(matrices, config["weight_decay"])
         self.muon = torch.optim.Muon(decayed, lr=0.0, adjust_lr_fn="match_rms_adamw") if matrices else None
 

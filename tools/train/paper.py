@@ -1,6 +1,6 @@
 """The published training, setting by setting: ZipSplat, arXiv 2606.05102."""
 
-# Setting: (value, section). "A" is appendix A. Where text and reference code differ, the code.
+# Setting: (value, section). "A" is appendix A. The reference code wins over the text.
 PAPER = {
     "architecture.family": ("da3", "4.1"),
     "architecture.width": (1536, "A"),
@@ -56,14 +56,14 @@ PAPER = {
     # Single stage: no steps without rendering, no extra losses or cameras, no weight averaging.
     **{name: (0, "A") for name in ("geometry_until", "geometry_after", "loose", "anchor_until", "ema")},
 }
-# The ablations of tables 4b and 4c (section 4.5).
+# Tables 4b and 4c (section 4.5).
 ABLATIONS = {**PAPER, "views": ([2, 2], "4.5"), "steps": (115_000, "4.5")}
 SMALL_NETWORK = {
     "width": 384, "depth": 12, "heads": 6, "out_layers": [5, 7, 11], "fusion_heads": 6, "fusion_hidden": 1536, "head_hidden": 1024,
 }  # fmt: skip
 ABLATIONS |= {f"architecture.{name}": (value, "4.5, DA3-S") for name, value in SMALL_NETWORK.items()}
 
-# Statements that no setting expresses, and their place.
+# Statements that no setting expresses.
 ELSEWHERE = {
     "backbone from DA3-Giant (4.1)": "--backbone",
     "equal mixture of RealEstate10K and DL3DV (4.1)": "--data re10k:DIR --data dl3dv:DIR",

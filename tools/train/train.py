@@ -59,7 +59,7 @@ class Trainer:
         self.rank, self.processes = rank_and_processes()
         self.device = device_of_process()
         torch.manual_seed(config["seed"])
-        # All processes draw the same numbers of views.
+        # Processes draw the same numbers of views.
         self.rng = random.Random(config["seed"])
         self.out = Path(args.out)
         (self.out / "samples").mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,7 @@ class Trainer:
             self.compile()
         self.schedule = Schedule(config)
 
-        # The initial weights are the same in all processes, later random numbers differ.
+        # Initial weights are equal in all processes, later random numbers differ.
         torch.manual_seed(config["seed"] + self.rank)
 
         self.shards = self.stream(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"])
@@ -194,7 +194,7 @@ class Trainer:
 
     def warm_up(self):
         """Compiles everything before the clock starts."""
-        # A fixed number of scenes is the same set in every run.
+        # A fixed number of scenes is one set in every run.
         self.pool.fill(self.config["scenes"] or min(max(map(self.scenes_of_batch, self.config["views"])), self.pool.capacity))
         for views, ratio in zip(self.config["views"], (1.0, 0.5)):
             data = self.sample(self.objective.at_once(self.scenes_of_batch(views), views), views)

@@ -56,7 +56,7 @@ class ViewCamera {
         this.eye = add(target, this.axes[2], -this.distance);
     }
 
-    // Fits an input camera into a picture of this size.
+    // Fits an input camera into a picture.
     through({ matrix, width, height, fy }, pictureWidth, pictureHeight, distance) {
         const focal = fy * Math.min(pictureWidth / width, pictureHeight / height);
         this.fov = Math.atan(Math.min(pictureWidth, pictureHeight) / 2 / focal) * 360 / Math.PI;

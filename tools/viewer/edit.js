@@ -1,5 +1,4 @@
-// Crop and deletion by a box or sphere with handles, or of a clicked object; undo;
-// saving.
+// Crop and deletion by a box or sphere with handles, or of a clicked object; undo; saving.
 
 const REACH = 22; // pixels from a handle's center
 const AXES = ["#f66", "#6d6", "#69f"];
@@ -34,7 +33,6 @@ class Edit {
     // A part of a scene that is still arriving is not edited.
     get ready() { return Boolean(this.page.scene?.drawable) && !this.page.scene.partial; }
 
-    // Whether clicks select an object.
     get picks() { return this.shown && element("object").selected; }
 
     // While it is shown.
@@ -92,7 +90,7 @@ class Edit {
         this.page.change();
     }
 
-    // Counts, and edits if `act` is given. The latest count waits for the answer to the one before.
+    // Counts, and edits if `act` is given. The latest count waits for the previous answer.
     ask(act) {
         const { page, marked: volume } = this;
         if (!act && this.waits) return void (this.again = true);
@@ -116,7 +114,6 @@ class Edit {
         if (this.again) this.again = false, this.ask();
     }
 
-    // Of the file that is saved.
     get name() { return `${this.page.stem}.${element("kind").value}`; }
 
     // The file itself where nothing changes.

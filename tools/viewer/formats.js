@@ -1,10 +1,9 @@
 // Scene readers: PLY of 3D Gaussian splatting, SPZ 2 to 4, SOG, .splat, glTF with
-// KHR_gaussian_splatting.
+// KHR_gaussian_splatting. Errors are for the user.
 //
-// A scene has `count` Gaussians in the engine's axes: means [N, 3], scales [N, 3] linear, quats [N,
+// A scene has `count` Gaussians in the engine's axes: means [N, 3], linear scales [N, 3], quats [N,
 // 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest` [N, K - 1, 3], half floats.
-// `antialiased` scenes have opacities for the renderer's compensation of its blur.
-// Errors are for the user.
+// Opacities of `antialiased` scenes are for a renderer that compensates its blur.
 
 const SH_0 = 0.2820947917738781;
 
@@ -63,7 +62,7 @@ function plyHeader(bytes) {
     return header;
 }
 
-// Reads the rows that are there, of `all`, unless the file is `whole`.
+// Reads the rows that are there, of `all`, unless `whole`.
 async function readPly(bytes, progress, whole = true) {
     const { start, count: all, row, properties, antialiased } = plyHeader(bytes);
     const count = whole ? all : Math.min(all, Math.floor((bytes.length - start) / row));
@@ -114,7 +113,7 @@ async function unpacked(bytes, method, format) {
     }
 }
 
-// Header and attributes of version 4, whose streams are zstd frames, as in version 3.
+// Header and attributes as in version 3; version 4 has zstd frames.
 function readSpz4(bytes) {
     const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), parts = [bytes.subarray(0, 16)];
     try {

@@ -1,4 +1,4 @@
-// Input cameras, the edited volume, and the current camera's photo with its PSNR.
+// Input cameras, the edited volume, and the camera's photo with its PSNR.
 
 const MOST_PIXELS = 1 << 20; // in a compared photo
 
@@ -80,7 +80,7 @@ class Overlay {
         page.edit.draw(context);
     }
 
-    // Between points, in front of the camera.
+    // In front of the camera.
     line(context, ...ends) {
         const { camera, scene } = this.page, near = 1.001 * (scene?.near ?? 0.01);
         const depths = ends.map(end => dot(camera.axes[2], add(end, camera.eye, -1)) - near);
@@ -92,7 +92,6 @@ class Overlay {
         context.lineTo(...to);
     }
 
-    // Whether a click ends a drag.
     dragged({ clientX, clientY }) { return Math.hypot(clientX - this.pressed?.[0], clientY - this.pressed?.[1]) > 4; }
 
     pick(event) {

@@ -232,7 +232,7 @@ class Page {
         if (moving) this.change();
     }
 
-    // RGBA bytes from an input camera, rows from the top. The page needs a redraw afterwards.
+    // RGBA bytes, rows from the top. The page needs a redraw afterwards.
     seen(input, width, height) {
         const { renderer, background, scene } = this, camera = new ViewCamera();
         camera.through(input, width, height, 1);

@@ -42,7 +42,7 @@ class Path {
     keep() {
         const { eye, axes, fov, distance } = this.page.camera, last = this.keys.at(-1);
         let turn = quaternion(axes);
-        // The nearer of two quaternions takes the short way.
+        // The nearer quaternion takes the short way.
         if (last && last.turn.reduce((sum, value, i) => sum + value * turn[i], 0) < 0) turn = turn.map(value => -value);
         this.keys.push({ eye: [...eye], turn, fov, distance });
         this.changed();
@@ -82,7 +82,6 @@ class Path {
         requestAnimationFrame(step);
     }
 
-    // One camera per frame.
     file() {
         const { clientWidth: width, clientHeight: height } = this.page.canvas, { keys, seconds } = this;
         const count = keys.length > 1 ? Math.max(2, Math.round(FPS * seconds)) : 1;

@@ -89,7 +89,6 @@ vec3 token_color(uint token) {
     return vec3(uvec3(hash, hash >> 8, hash >> 16) & 255u) / 255.0;
 }
 
-// The shortest axis, turned towards the camera.
 vec3 normal(mat3 axes, vec3 scale, vec3 offset) {
     vec3 axis = scale.x <= min(scale.y, scale.z) ? axes[0] : scale.y <= scale.z ? axes[1] : axes[2];
     return dot(axis, offset) > 0.0 ? -axis : axis;
@@ -275,7 +274,6 @@ class Renderer {
         return buffer;
     }
 
-    // Scene packed by the worker.
     upload({ count, degree, antialiased, near, gaussians, harmonics }) {
         const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
         const texture = (texels, format = gl.RGBA32UI) => {

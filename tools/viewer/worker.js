@@ -60,7 +60,7 @@ function sampled({ means }, gone, count) {
 
 const median = values => [...values].sort((a, b) => a - b)[values.length >> 1];
 
-// Near plane: 0.01, less for scenes with an extent below 0.1, as zipsplat render has it.
+// Near plane: 0.01, less for scenes with an extent below 0.1, as in zipsplat render.
 function nearPlane(sample, scales) {
     const axis = k => sample.filter((_, i) => i % 3 === k), axes = [0, 1, 2].map(axis), center = axes.map(median);
     const distance = median(axes[0].map((_, i) => Math.hypot(...axes.map((values, k) => values[i] - center[k]))));
@@ -85,7 +85,7 @@ async function load({ load: id, bytes, name, view, whole, features }) {
     postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
-// Makes a k-d tree: the middle of a range splits it along an axis.
+// k-d tree: the middle of a range splits it along an axis.
 function split(means, tree, from, to, axis) {
     if (to - from < 2) return;
     const middle = from + to >> 1, next = (axis + 1) % 3, at = k => means[3 * tree[k] + axis];

@@ -1,5 +1,4 @@
-// Scene writers: PLY of 3D Gaussian splatting, and SPZ 3. `kept` has the numbers of the Gaussians
-// to write.
+// Scene writers: PLY of 3D Gaussian splatting, and SPZ 3. `kept`: numbers of written Gaussians.
 
 const PLY_START = "ply\nformat binary_little_endian 1.0\n";
 const LEAST_OPACITY = 1e-6, LEAST_SCALE = 1e-6; // as `zipsplat convert`
@@ -9,8 +8,7 @@ function unhalf(bits) {
     return bits & 0x8000 ? -value : value;
 }
 
-// Copies rows of a PLY whose only element they are, with its comments and all properties; null for
-// others.
+// Cuts rows of a PLY with no other element, with its comments and all properties; else null.
 function cutPly(bytes, kept) {
     const { start, count, row } = plyHeader(bytes);
     if (start + count * row !== bytes.length) return null;

@@ -1,5 +1,5 @@
-// Zstandard decompression (RFC 8878), without dictionaries; checksums are skipped. Tables map a
-// state to its symbol, bit count and, in FSE tables, next base state.
+// Zstandard decompression (RFC 8878), without dictionaries and checksums. Tables map a state to its
+// symbol, bit count and, in FSE tables, next base state.
 
 // Extra bits of literal and match length codes; each baseline is the end of the one before.
 const LENGTH_BITS = [
@@ -10,7 +10,7 @@ const LENGTHS = LENGTH_BITS.map((all, kind) => {
     let base = 3 * kind;
     return all.map(bits => [(base += 2 ** bits) - 2 ** bits, bits]);
 });
-// Predefined distributions of literal lengths, offsets and match lengths.
+// Distributions of literal lengths, offsets and match lengths.
 const PREDEFINED = [
     [6, [4, 3, ...Array(11).fill(2), 1, 1, 1, ...Array(9).fill(2), 3, 2, 1, 1, 1, 1, 1, -1, -1, -1, -1]],
     [5, [...Array(6).fill(1), 2, 2, 2, ...Array(15).fill(1), ...Array(5).fill(-1)]],
@@ -137,7 +137,7 @@ function readLiterals(bytes, tables) {
     return [literals, head + packed];
 }
 
-// Runs a block's sequences; returns the new length of `out`.
+// Returns the new length of `out`.
 function runBlock(bytes, tables, history, out, length) {
     const [literals, start] = readLiterals(bytes, tables), head = bytes[start];
     let at = start + 1, count = head, taken = 0;

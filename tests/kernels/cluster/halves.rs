@@ -4,7 +4,7 @@ use crate::case::*;
 use zipsplat::kernels::cluster::Halves;
 use zipsplat_tests::reference::cluster::halves::about;
 
-/// Padded rows as stored: high and low halves, scales and norms.
+/// Padded, as stored: high and low halves, scales and norms.
 struct Held {
     high: Vec<f64>,
     low: Vec<f64>,
@@ -47,7 +47,7 @@ fn check(name: &str, rows: &[f32], origin: &[f32]) {
         assert!(largest <= unit * 32768.0 && (largest == 0.0 || largest >= unit * 16384.0 * (1.0 - 1e-6)), "{name}");
         for (c, x) in row.iter().enumerate() {
             let (h, l) = (high[c] * unit, low[c] * unit);
-            // The difference is rounded to f32; a device may flush subnormals.
+            // f32 rounds the difference; a device may flush subnormals.
             let (rounding, flushed) = ((-24f64).exp2() * x.abs(), (-28f64).exp2() * largest);
             let [alone, both] = [(-11f64).exp2(), (-22f64).exp2()].map(|unit| unit * x.abs() * 1.001);
             assert!((h - x).abs() <= alone + rounding + flushed, "{name}: row {i}, channel {c}: {h} for {x}");

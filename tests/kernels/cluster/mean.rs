@@ -13,7 +13,7 @@ fn centroids(points: &[f32], cluster_of_point: &[u32], clusters: usize, width: u
 }
 
 fn check(count: usize, clusters: usize, width: usize) {
-    // Away from zero, so that no mean is small by chance.
+    // No mean is small by chance.
     let points: Vec<f32> = random(1, count * width).iter().map(|x| x + 1.5).collect();
     let assigned = random_below(2, count, clusters as u32);
     let got = centroids(&points, &assigned, clusters, width);
@@ -23,7 +23,7 @@ fn check(count: usize, clusters: usize, width: usize) {
 
 #[test]
 fn equals_the_reference() {
-    // Sizes around any subgroup and around a digit of the sort.
+    // Around subgroups and a digit of the sort.
     for count in [1, 7, 8, 9, 31, 32, 33, 65, 500] {
         for width in [4, 64, 68, 132, 384] {
             for clusters in [1, 2, 9, 256, 257] {
@@ -75,7 +75,7 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     // One cluster may have all points.
     let tolerance = Tolerance::sum_of(x.len() / width);
     assert_close(&what("centroids"), &centroids, &golden.f32(&key("centroids_exact")), tolerance);
-    // Rounding decides between equally near tokens.
+    // Rounding decides ties.
     let gaps = golden.f32(&key("nearest_gap"));
     let clear: Vec<usize> = (0..clusters).filter(|&k| gaps[k] > 1e-4).collect();
     let pick = |indices: &[u32]| clear.iter().map(|&k| indices[k]).collect::<Vec<_>>();

@@ -49,7 +49,7 @@ fn selects_the_tokens_of_the_reference() {
     }
 }
 
-/// Views that are copies of the first add nothing until its tokens are used up.
+/// Copies of the first view add nothing until its tokens are used up.
 #[test]
 fn copies_come_last() {
     let first = random(3, 30 * 16);

@@ -1,5 +1,5 @@
-//! Most coordinates are small integers or multiples of 1/64 about an origin. Their squared
-//! distances and the products of their halves are exact in f32, so every kernel agrees with f64.
+//! Most coordinates are small integers or multiples of 1/64 about an origin. Squared distances and
+//! products of halves are exact in f32, so every kernel agrees with f64.
 
 use crate::case::*;
 use zipsplat::kernels::limits::NEAREST_ROWS;
@@ -7,7 +7,7 @@ use zipsplat::ops::{Nearest, NearestKernel, Tile, Tiles, Units};
 use zipsplat_tests::reference::cluster::nearest::{TIE, nearest as reference};
 use zipsplat_verify::{Chosen, NearestTruth};
 
-/// Returns the nearest rows and the origin, given or computed by the kernel.
+/// Also returns the origin, given or computed by the kernel.
 fn find(
     limits: &Limits,
     kernel: NearestKernel,
@@ -62,14 +62,13 @@ fn equals_the_reference() {
 
 #[test]
 fn of_equally_near_ones_the_first() {
-    // Many targets share few coordinates, so nearly every distance ties.
+    // Nearly every distance ties.
     let places = |seed, len| random_below(seed, len, 3).iter().map(|&x| x as f32).collect::<Vec<_>>();
     for targets in [40, 300, 2000] {
         check(&format!("{targets} targets"), &places(3, 100 * 4), &places(4, targets * 4), 4);
     }
 }
 
-/// Changes the order of sums.
 fn reordered(rows: &[f32], width: usize, step: usize) -> Vec<f32> {
     rows.chunks(width).flat_map(|row| (0..width).map(|c| row[(c * step + step) % width])).collect()
 }

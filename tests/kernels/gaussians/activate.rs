@@ -23,7 +23,7 @@ fn more_workgroups_than_fit_in_a_row() {
     let count = GROUP_FOLD as usize * 64 + 65;
     let raw = random(2, count * 14);
     let got = activated(&raw, 0, 1.0);
-    // First and last rows of folded workgroups; the reference is too slow for all.
+    // First and last rows: the reference is too slow for all.
     for range in [0..1000, count - 1000..count] {
         let values = range.start * 14..range.end * 14;
         let name = format!("{range:?}");

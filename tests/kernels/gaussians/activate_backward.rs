@@ -4,7 +4,7 @@ use zipsplat_tests::{
     reference::gaussians::activate::activate, reference::gaussians::activate_backward::activate_backward,
 };
 
-/// Returns d loss / d raw, `[count, width]`, in groups of `group` with `padding` behind each.
+/// d loss / d raw, `[count, width]`, in groups of `group` with `padding` behind each.
 fn backward(raw: &[f32], d: &[f32], width: usize, group: usize, padding: usize) -> Vec<f32> {
     let count = raw.len() / width;
     let field = |start, end| columns(d, width, start, end).into_iter().map(|x| x as f32).collect::<Vec<_>>();
@@ -43,7 +43,7 @@ fn equals_the_reference() {
             let raw: Vec<f32> = random(1, count * width).iter().map(|x| 6.0 * x).collect();
             let d = random(2, count * width);
             let got = backward(&raw, &d, width, group, padding);
-            // A short quaternion has a large gradient, and exp reaches e^5.
+            // Short quaternions have a large gradient, and exp reaches e^5.
             let tolerance = |_: &str| Tolerance::EXPONENTIAL;
             assert_gaussians_within(
                 &format!("{count} of width {width}"),

@@ -17,7 +17,7 @@ impl Features {
         Self { a, b, weights: random(3, channels).iter().map(|x| x.abs()).collect() }
     }
 
-    /// Returns sums, and the gradient added to `before`.
+    /// Sums, and the gradient added to `before`.
     fn compared(&self, before: Option<&[f32]>, scale: f32) -> [Vec<f32>; 2] {
         let (channels, pixels) = (self.weights.len(), self.a.len() / self.weights.len());
         let mut case = plan();

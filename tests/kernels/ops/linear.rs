@@ -10,7 +10,7 @@ fn bits(layer: &Layer, kernel: LinearKernel, output: Element) -> Vec<u32> {
     layer.run(device(), kernel, output).unwrap().into_iter().map(f32::to_bits).collect()
 }
 
-/// Returns a random layer with an activation; GELU comes with a scale and a residual.
+/// GELU comes with a scale and a residual.
 fn layer([rows, inner, columns]: [usize; 3], activation: Activation) -> Layer {
     let mut layer = Layer::random(rows, inner, columns);
     layer.activation = activation;
@@ -117,7 +117,7 @@ fn shared_memory_changes_no_bit() {
 
 #[test]
 fn long_sums_of_few_results_are_cut_into_parts() {
-    // Split-K into 1,152, 1,152 and 800 terms; f32 and integer sums stay whole.
+    // 1,152, 1,152 and 800 terms; f32 and integer sums stay whole.
     let (rows, inner, columns) = (11, 3104, 40);
     for kernel in linear_kernels().into_iter().flat_map(|kernel| [Some(kernel), kernel.with_q8()]).flatten() {
         let mut rec = Recorder::new(device().limits());
@@ -133,12 +133,11 @@ fn long_sums_of_few_results_are_cut_into_parts() {
     }
 }
 
-/// 8-bit integers by dot products.
 const DOTS: LinearKernel = LinearKernel::Dots(Tiles::BY_RULE);
 
 #[test]
 fn dot_products_give_the_bits_of_matrix_units() {
-    // Around tiles: one row, one quad, partial tiles of 8 terms, long sums.
+    // One row, one quad, partial tiles of 8 terms, long sums.
     let shapes = [[1, 8, 8], [7, 24, 32], [9, 72, 40], [33, 64, 136], [70, 96, 264], [3, 4096, 24], [130, 40, 72]];
     let units = Units::of(Element::I8, device().limits()).filter(|_| device().limits().dot_products);
     for (units, shape) in units.into_iter().flat_map(|units| shapes.map(|shape| (units, shape))) {

@@ -1,4 +1,4 @@
-//! Rows as 8-bit integers: the nearest, or either in a tie within f32 rounding.
+//! The nearest, or either in a tie within f32 rounding.
 
 use crate::case::*;
 use zipsplat::ops::quantize_rows;
@@ -19,7 +19,7 @@ fn check(values: Vec<f32>, rows: usize, width: usize) {
     let values = stored(Element::F16, values);
     let (integers, scales) = quantized(&values, rows, width);
     let (truth, units) = reference(&widen(&values), width);
-    // Vulkan's division is off by 2.5 ulp, scaled by up to 127.
+    // Vulkan's division is off by 2.5 ulp, times up to 127.
     let nearest = |(got, truth): (&f32, &f64)| (f64::from(*got) - truth).abs() <= 0.5 + 1e-4;
     let worst = integers.iter().zip(&truth).position(|pair| !nearest(pair));
     assert!(worst.is_none(), "{rows} x {width}: element {worst:?}");

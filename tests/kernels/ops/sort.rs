@@ -1,4 +1,4 @@
-//! The radix sort of a part of its items and bits, and the starts of keys.
+//! The radix sort of some items and bits, and the starts of keys.
 
 use crate::case::*;
 use zipsplat::ops::{
@@ -6,7 +6,7 @@ use zipsplat::ops::{
     sort::{key_starts, sort_pairs},
 };
 
-/// Limits for the blocks of CPUs and GPUs, on any device.
+/// Blocks of CPUs and GPUs, on any device.
 fn both_blocks() -> [Limits; 2] {
     [true, false].map(|cpu| Limits { cpu, ..device().limits().clone() })
 }
@@ -34,7 +34,7 @@ fn sorts_only_the_items_and_bits_in_use() {
     for (count, bits) in [(0, 32), (1, 0), (3_000, 0), (3_000, 1), (3_000, 13), (1, 31), (4_999, 20)] {
         both_blocks().iter().for_each(|limits| check(limits, &keys(5_000), count, bits));
     }
-    // More blocks of 256 than limits of blocks, and items in a part of them.
+    // More blocks than limits of blocks, and items in a part of them.
     both_blocks().iter().for_each(|limits| check(limits, &keys(1_200_007), 1_100_003, 9));
 }
 
@@ -56,7 +56,7 @@ fn sums_in_blocks_of_any_size() {
 #[test]
 fn finds_where_each_key_starts() {
     for (count, key_count) in [(0, 3), (1, 1), (1000, 1), (1000, 100), (5000, 70_000)] {
-        // Items beyond `count` are unused and arbitrary.
+        // Items beyond `count` are arbitrary.
         let mut keys: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(2_654_435_761) % key_count).collect();
         keys.sort_unstable();
         let expected: Vec<u32> = (0..=key_count).map(|key| keys.partition_point(|&k| k < key) as u32).collect();

@@ -1,4 +1,4 @@
-//! Split heads: exact placement, norm and rotation.
+//! Exact placement, norm and rotation.
 
 use crate::case::*;
 use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
@@ -15,14 +15,14 @@ struct Call {
     out_rows: usize,
     sequence: usize,
     norm: bool,
-    /// Patch rows and columns of a view, for the rotation.
+    /// Rows and columns of patches, for the rotation.
     grid: Option<(usize, usize)>,
     global: bool,
-    /// Rows of a sequence interleaved in a panel; 0 for contiguous rows.
+    /// Rows interleaved in a panel; 0 for contiguous rows.
     panel: usize,
     /// Zero channels behind a head.
     padding: usize,
-    /// Side of the averaged groups of `grid` patches; `first_row` and `rows` then count groups.
+    /// Of averaged groups of `grid` patches; `first_row` and `rows` then count groups.
     side: usize,
 }
 
@@ -141,7 +141,7 @@ impl Call {
         self.rows / groups * (leading + grid.iter().product::<usize>())
     }
 
-    /// Returns `[rows, heads, dim]` and, for averaged groups, the logarithms of their sizes.
+    /// `[rows, heads, dim]` and, for averaged groups, the logarithms of their sizes.
     fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> (Vec<f64>, Vec<f64>) {
         let positions: Option<Vec<_>> = self.grid.map(|(rows, columns)| {
             let view = if self.global { seen_from_patches(rows, columns) } else { local_positions(rows, columns) };
@@ -164,8 +164,7 @@ impl Call {
     }
 }
 
-/// Returns a view's global token positions, shifted so that patches start at 0: only differences
-/// matter.
+/// Shifted so that patches start at 0: only differences matter.
 fn seen_from_patches(rows: usize, columns: usize) -> Vec<[f64; 2]> {
     global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect()
 }
@@ -205,8 +204,7 @@ fn parts_of_the_rows() {
     }
 }
 
-/// Two views of 3 x 5 patches, then the second alone. Groups at the border have fewer patches, the
-/// camera token none.
+/// Two views of 3 x 5 patches, then the second alone. Groups at the border have fewer patches.
 #[test]
 fn means_of_groups_of_patches() {
     for (side, groups) in [(2, 7), (3, 3), (4, 3)] {

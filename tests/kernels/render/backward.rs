@@ -1,4 +1,4 @@
-//! Gradients of pictures against the goldens and finite differences.
+//! Against the goldens and finite differences.
 
 use crate::case::*;
 use zipsplat::stages::render::{
@@ -19,7 +19,7 @@ struct Found {
 }
 
 impl Found {
-    /// Returns the fields of a row per Gaussian: golden's name, values and row width.
+    /// Per Gaussian: golden's name, values and row width.
     fn fields(&self) -> [(&'static str, &[f32], usize); 5] {
         let coeffs = self.sh.len() / self.opacities.len();
         [
@@ -119,8 +119,7 @@ const SETS: [(&str, [bool; 3]); 5] = [
     ("all", [true, true, true]),
 ];
 
-/// Limits are relative: of the total, and for each row a share of its own length and one of the
-/// longest.
+/// Relative limits: of the total, and per row shares of its own length and of the longest.
 fn hold(name: &str, got: &[f32], truth: &[f64], width: usize, [in_all, of_own, of_longest]: [f64; 3]) {
     assert_eq!(got.len(), truth.len(), "{name}");
     let length = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -248,8 +247,7 @@ fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderOptions) ->
     }
 }
 
-/// Asserts gradients against finite differences in random directions of every field; rotations step
-/// by `turn`.
+/// In random directions of every field; rotations step by `turn`.
 fn hold_to_differences(name: &str, scene: &Scene, turn: f64, (request, drawing): (RenderOptions, Drawing)) {
     let cameras = &two_cameras();
     let weights = random_weights(scene, cameras, &request);
@@ -381,8 +379,7 @@ fn small_bindings_cut_scenes_and_pictures() {
     let (scene, camera) = (random_scene(2_500, 3, 0.02), camera(100, 200));
     let request = requests()[1].0;
     let d_frames = random(5, 100 * 200 * request.channels());
-    // Coefficients of 192 bytes for 2,500 Gaussians and 200 rows of 2,000 bytes make two parts and
-    // two bands.
+    // Coefficients of 192 bytes and rows of 2,000 bytes make two parts and two bands.
     let found = |max_binding_bytes| {
         let limits = Limits { max_binding_bytes, ..device().limits().clone() };
         How { limits: &limits, capacity: 12_000, ..How::default() }.find(&scene, &[camera], &request, &d_frames)

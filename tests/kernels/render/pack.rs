@@ -4,7 +4,7 @@ use crate::case::*;
 use zipsplat::kernels::render::Pack;
 use zipsplat_tests::reference::render::pack::pack;
 
-/// Returns values around 0..1 off the rounding ties, and the ends of the range.
+/// Around 0..1 off the rounding ties, and the range's ends.
 fn frames(count: usize) -> Vec<[f32; 4]> {
     let mut frames: Vec<[f32; 4]> =
         random(7, 4 * count).chunks_exact(4).map(|p| [0, 1, 2, 3].map(|i| 0.5 + 0.75 * p[i])).collect();

@@ -1,7 +1,7 @@
 use crate::case::*;
 use zipsplat::{kernels::render::Project, stages::render::camera_rows, types::NEAR};
 
-/// One row per Gaussian and camera, Gaussian-major.
+/// Rows per Gaussian and camera, Gaussian-major.
 struct Projection {
     xy_opacities: Vec<[f32; 3]>,
     conics: Vec<[f32; 3]>,
@@ -78,7 +78,7 @@ fn compare(golden: &Golden, key: &str, got: &Projection, gaussians: usize, camer
         drawn.iter().flat_map(|(i, _)| values[i * width..][..width].to_vec()).collect()
     };
     let mine = |values: &[[f32; 3]]| -> Vec<f32> { drawn.iter().flat_map(|(_, pair)| values[*pair]).collect() };
-    // Pixels lie up to thousands from the origin, a few roundings.
+    // Thousands of pixels from the origin, a few roundings.
     let tolerance = Tolerance { max: 4e-6, rms: 1e-6 };
     let xy_opacities = mine(&got.xy_opacities);
     assert_close(&name("means2d"), &columns(&xy_opacities, 3, 0, 2), &pick(&truth("means2d"), 2), tolerance);

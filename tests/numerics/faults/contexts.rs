@@ -40,7 +40,6 @@ fn losing_devices() {
     }
 }
 
-/// On a separate device.
 struct Work {
     faults: Faults,
     options: DeviceOptions,

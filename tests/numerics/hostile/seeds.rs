@@ -124,7 +124,7 @@ pub fn pickle() -> Vec<u8> {
     [b"\x80\x02", dict(&[("model", dict(&tensors))]).as_slice(), b"."].concat()
 }
 
-/// With zeros for the storage of [`pico`].
+/// [`pico`]'s storage is zeros.
 pub fn archive(pickle: &[u8]) -> Vec<u8> {
     let zeros = vec![0; 4 * pico().parameter_count()];
     pickles::archive(&[("data.pkl", pickle), ("data/0", &zeros)], CompressionMethod::Stored)

@@ -10,7 +10,6 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 type Reader = fn(&Path) -> Result<()>;
 
-/// With an expected file name.
 const READERS: [(&str, &str, Reader); 15] = [
     ("weights", "weights.pt", |path| Checkpoint::open(path, None).map(drop)),
     ("conversion", "weights.safetensors", |path| convert(path, path.with_extension("out"), Dtype::F16, None)),

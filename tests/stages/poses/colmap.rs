@@ -239,7 +239,6 @@ fn models_are_written_as_they_are_read() {
     assert_same_cameras(&of(&read), &frames.iter().map(|frame| frame.camera).collect::<Vec<_>>());
     let cloud = read_cloud(read.points.unwrap()).unwrap();
     assert_eq!(cloud.positions.into_iter().zip(cloud.colors).collect::<Vec<_>>(), points);
-    // Two frames of one lens share its line.
     let lines = fs::read_to_string(folder.path().join("cameras.txt")).unwrap();
     assert_eq!(lines.lines().filter(|line| !line.starts_with('#')).count(), frames.len().min(4), "{lines}");
 

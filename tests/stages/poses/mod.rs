@@ -195,7 +195,7 @@ fn captures_have_sound_cameras() {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("{} {i}", folder.display())).unwrap();
             assert_eq!((camera.intrinsics.width, camera.intrinsics.height), size);
-            // The matrix's last column in any axes.
+            // The last column, in any axes.
             let rows = &json["frames"][i]["transform_matrix"];
             let center = DVec3::from_array([0, 1, 2].map(|row: usize| rows[row][3].as_f64().unwrap()));
             assert_eq!(camera.pose.translation, center);

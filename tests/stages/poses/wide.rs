@@ -11,7 +11,7 @@ const K: [f64; 4] = [-0.03, 0.01, -0.002, 0.0003];
 /// OpenCV's k1, k2, p1, p2, k3 to k6.
 const FULL: [f64; 8] = [0.4, 0.05, 0.001, -0.002, 0.01, 0.75, 0.2, 0.03];
 
-/// A wide lens by independent formulas: the pixel of a ray, and the file's model and fields.
+/// A wide lens by independent formulas.
 struct Wide {
     model: &'static str,
     size: [u32; 2],
@@ -53,7 +53,7 @@ impl Wide {
         Some([self.focal * x + f64::from(self.size[0]) / 2.0, self.focal * y + f64::from(self.size[1]) / 2.0])
     }
 
-    /// Of a pixel, by bisection of the angle from the axis.
+    /// By bisection of the angle from the axis.
     fn ray(&self, [u, v]: [f64; 2]) -> DVec3 {
         let [x, y] = [u - f64::from(self.size[0]) / 2.0, v - f64::from(self.size[1]) / 2.0].map(|at| at / self.focal);
         if self.model == "EQUIRECTANGULAR" {
@@ -110,7 +110,7 @@ fn view_ray(camera: &Camera, [u, v]: [f64; 2]) -> DVec3 {
     (camera.pose.rotation * DVec3::new((u - i.cx) / i.fx, (v - i.cy) / i.fy, 1.0)).normalize()
 }
 
-/// Color of the surroundings in a direction, 0..1.
+/// Color of the surroundings, 0..1.
 fn light(ray: DVec3) -> [f64; 3] {
     let d = ray.normalize();
     [DVec3::new(9.0, 4.0, -7.0), DVec3::new(-3.0, 11.0, 5.0), DVec3::new(6.0, -8.0, 8.0)]
@@ -225,7 +225,6 @@ fn colmap_models_have_the_same_views() {
         assert_eq!(colmap.frames, json.frames, "{}", lens.model);
         assert_eq!((&colmap.warnings, colmap.warnings.len()), (&json.warnings, 1));
         assert!(colmap.warnings[0].contains(&format!("1 of them, are cut into {} pinhole views", lens.views)));
-        // And are written as one photo.
         write_colmap(model.path(), &json.frames, &[]).unwrap();
         assert_eq!(Capture::open(model.path()).unwrap().frames, json.frames, "{}", lens.model);
         write_frames(folder.path().join("again.json"), &json.frames, None).unwrap();
@@ -265,7 +264,7 @@ fn masks_are_cut_alike() {
     let folder = tempfile::tempdir().unwrap();
     let lens = &LENSES[3];
     let capture = lens.capture(folder.path());
-    // The lower half, and so the view down and the lower halves of those around.
+    // The lower half: the view down and the lower halves of those around.
     let mask = (0..320 * 160).map(|at| if at / 320 < 80 { 255 } else { 0 }).collect();
     let photo = picture(lens.size, |at| lens.ray(at)).with_mask(mask).unwrap();
     for (i, frame) in capture.frames.iter().enumerate() {

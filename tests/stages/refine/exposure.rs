@@ -26,7 +26,7 @@ pub fn shot() -> Shot {
     Shot { cameras: capture.cameras, images: capture.images, cloud }
 }
 
-/// Scales linear light by a power of 2, with clipping highlights.
+/// Linear light times a power of 2, with clipping highlights.
 fn exposed(image: &Image, stops: f64) -> Image {
     let byte = |value: &u8| {
         let value = f64::from(*value) / 255.0;
@@ -38,7 +38,7 @@ fn exposed(image: &Image, stops: f64) -> Image {
     Image { rgb: image.rgb.iter().map(byte).collect(), mask: None, ..*image }
 }
 
-/// Twelve exposures from -1 to 1 stops, in another order than the path; held-out photos have 0.
+/// Twelve exposures from -1 to 1 stops, shuffled; held-out photos have 0.
 fn photos_of_exposures(images: &[Image]) -> Vec<Image> {
     let training = (0..VIEWS).filter(|i| !HELD_OUT.contains(i)).enumerate();
     let mut photos = images.to_vec();
@@ -60,7 +60,7 @@ fn refined(shot: &Shot, photos: &[Image], exposure: Exposure) -> RefineResult {
     refined
 }
 
-/// Held-out PSNR in dB, after color correction if asked for.
+/// In dB.
 pub fn held_out_psnr(shot: &Shot, scene: &Scene, corrects: bool) -> f64 {
     let psnr = |i: &usize| {
         let [drawn, photo] = pair(scene, &shot.cameras[*i], &shot.images[*i]);
@@ -92,7 +92,7 @@ fn learned_exposures_are_as_good_as_a_constant_one() {
         let mean = (0..VIEWS).map(|i| of(&exposures[i])).sum::<f64>() / VIEWS as f64;
         assert!((mean - of(&ColorTransform::IDENTITY)).abs() < 1e-6, "number {number}: a mean of {mean}");
     }
-    // A photo of 1 stop is 1.9 times as bright as one of -1, between black and white.
+    // 1.9 times, between black and white.
     let gray = |i: usize| exposures[i].apply(&[0.4; 3]).iter().sum::<f32>();
     assert!(gray(8) > 1.4 * gray(0), "{} and {}", gray(8), gray(0));
 }

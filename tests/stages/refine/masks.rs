@@ -1,4 +1,4 @@
-//! A procedural capture with a figure that walks through it, and its masks.
+//! A figure walks through a procedural capture.
 
 use super::{
     exposure::{HELD_OUT, Shot, held_out_psnr, shot},
@@ -7,11 +7,11 @@ use super::{
 use glam::DVec3;
 use zipsplat::refine::Exposure;
 
-/// Centers above the feet, and radii, of a figure's ellipsoids: body and head.
+/// Centers above the feet, and radii: body and head.
 const FIGURE: [([f64; 3], [f64; 3]); 2] =
     [([0.0, -0.3, 0.0], [0.16, 0.3, 0.12]), ([0.0, -0.68, 0.0], [0.1, 0.12, 0.1])];
 
-/// Returns the photos with a striped figure at another place in each, and its masks.
+/// A striped figure is at another place in each photo, and masked.
 pub fn figure(images: &[Image], cameras: &[Camera]) -> Vec<Image> {
     let (count, side) = (images.len() as f64, images[0].width as usize);
     let photo = |(i, (image, camera)): (usize, (&Image, &Camera))| {
@@ -73,7 +73,7 @@ fn a_masked_figure_leaves_no_ghost() {
     assert!(with_db > without_db + 5.0 && with_db > clean_db - 3.0, "{with_db}, {without_db} and {clean_db} dB");
     assert!(same.scene == clean.scene && same.losses == clean.losses, "masks that keep all change no bit");
 
-    // Masked content has no influence, not even on exposures.
+    // Not even on exposures.
     let mut other = masked.clone();
     other.iter_mut().for_each(|photo| photo.rgb = photo.hidden().rgb.clone());
     let [a, b] = [&masked, &other].map(|photos| refined(&shot, photos, Exposure::On));

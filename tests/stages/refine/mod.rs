@@ -188,7 +188,6 @@ fn scenes_are_shown_on_the_way() {
     let refined = refine_scene(&Arena::new(device()), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
     assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [3, 5, 7]);
     assert_ne!(shown[0].1, shown[1].1);
-    // Not the final checkpoint.
     assert_ne!(shown[1].1, refined.scene);
     let unseen = refine(&moved(&scene), &photos, &cameras, &RefineOptions { snapshots: 0, ..request });
     assert_eq!(unseen.scene, refined.scene);
@@ -198,7 +197,7 @@ fn scenes_are_shown_on_the_way() {
 fn a_loss_that_grows_ends_with_the_last_good_scene() {
     let cameras = cameras(2);
     let (scene, photos) = photos(&cameras);
-    // Too large: the first step makes the scene worse.
+    // The first step makes the scene worse.
     let rates = LearningRates { means: 10.0, ..LearningRates::default() };
     let request = RefineOptions {
         length: RefineLength::Steps(20),
@@ -235,7 +234,7 @@ fn what_cannot_be_refined_is_refused() {
     refused(&scene, &cameras, &RefineOptions { holdout_views: Some(2), ..request }, "held-out");
 }
 
-/// By a degree and 1 % of the scene's distance of about 3.5, except the first and `held_out`.
+/// By a degree and 1 % of the scene's distance, except the first and `held_out`.
 fn disturbed(cameras: &[Camera], held_out: usize) -> Vec<Camera> {
     let disturb = |(i, camera): (usize, &Camera)| {
         let direction = |k: f64| DVec3::new((k * 2.4).sin(), (k * 1.7).cos(), (k * 0.9).sin()).normalize();
@@ -333,7 +332,6 @@ fn scenes_grow_by_default_unless_good() {
     };
     let (is_poor, grown) = len(&start);
     assert!(is_poor && grown > 4, "{grown}");
-    // Worth refining.
     let mut good = scene.clone();
     good.sh_coeffs.iter_mut().for_each(|[red, ..]| *red += 0.05);
     assert_eq!(len(&good), (false, 40));
@@ -360,7 +358,7 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
         };
         (0..3).map(of).collect::<Vec<f64>>().iter().sum::<f64>() / 3.0
     };
-    // Short steps, so that the loss falls.
+    // Small rates, so that the loss falls.
     let LearningRates { means, scales, sh_coeffs, .. } = LearningRates::default();
     let rates = LearningRates {
         means: 0.02 * means,

@@ -21,7 +21,7 @@ impl Photos for Opened<'_> {
     }
 }
 
-/// Refines for 20 steps, with one thread that opens photos; also returns the times left.
+/// Takes 20 steps, with one thread for photos; also returns the times left.
 fn refine_opened(photos: &[Image], times: usize, max_photo_bytes: u64) -> (RefineResult, usize) {
     refine_from(photos, times, max_photo_bytes, None)
 }
@@ -95,7 +95,7 @@ fn small_photos_that_are_held_out_do_not_change_the_sizes_of_others() {
     assert_eq!((refined.holdout_views, refined.sizes), (vec![1], vec![(0, [128, 100]), (2, [256, 200])]));
 }
 
-/// Drawn otherwise, the scene would not equal its own photos.
+/// Their own photos would otherwise differ.
 #[test]
 fn antialiased_scenes_are_refined_as_such() {
     let cameras = cameras(2);

@@ -1,4 +1,4 @@
-//! The tag of antialiased scenes, in the spelling of each format's public readers.
+//! Tags in the spelling of each format's public readers.
 
 use super::{round_trip, scene};
 use std::io::{Cursor, Read};

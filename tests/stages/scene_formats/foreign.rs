@@ -1,4 +1,4 @@
-//! Files of other programs from `gaussians_deg2.ply`.
+//! Made from `gaussians_deg2.ply`.
 
 use super::{assert_rotations, assert_within, coefficient};
 use zipsplat::types::read_ply;
@@ -57,7 +57,7 @@ fn packed_ply() {
     assert_within("color", &coefficient(&found, 0), &coefficient(&truth, 0), |_| color);
     assert_rotations(&found.quats, &truth.quats, 0.01);
     for k in 1..9 {
-        // A bucket of 256 reads as its middle, the first and last as the range's ends.
+        // The middle of a bucket of 256; the first and last are the range's ends.
         let clamped: Vec<f32> = coefficient(&truth, k).iter().map(|value| value.clamp(-4.0, 4.0)).collect();
         assert_within(&format!("sh {k}"), &coefficient(&found, k), &clamped, |_| 1.01 * 8.0 / 256.0);
     }
@@ -82,7 +82,7 @@ fn glb() {
     assert_eq!((&found.means, &found.sh_coeffs, found.sh_degree), (&truth.means, &truth.sh_coeffs, 2));
     assert_within("scale", found.scales.as_flattened(), truth.scales.as_flattened(), |truth| 1e-6 * truth);
     assert_within("opacity", &found.opacities, &truth.opacities, |_| 1e-6);
-    // The axes' names differ; the Gaussians are equal.
+    // Only axis names differ.
     let (found, truth) = (covariances(&found), covariances(&truth));
     assert!(
         found.iter().zip(&truth).all(|(found, truth)| found.abs_diff_eq(*truth, 1e-6 * (1.0 + truth.x_axis.length())))

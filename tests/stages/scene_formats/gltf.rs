@@ -49,7 +49,6 @@ fn nodes_turn_move_and_scale() {
         let [rotation, original] =
             [found.quats[i], truth.quats[i]].map(|quat| matrix_from_quaternion(quat.map(f64::from)));
         assert!(rotation.abs_diff_eq(glam::DMat3::from_quat(turn) * original, 1e-6), "rotation {i}");
-        // Colors turn with the directions.
         for direction in [axis, DVec3::X, DVec3::new(-1.0, 2.0, 0.5).normalize()] {
             let color = |scene: &Scene, direction: DVec3| {
                 let coeffs = &scene.sh_coeffs[16 * i..][..16];
@@ -108,7 +107,6 @@ fn integers_stand_for_fractions() {
     let mut file = document(&scene(0));
     let opacity = file["meshes"][0]["primitives"][0]["attributes"]["KHR_gaussian_splatting:OPACITY"].as_u64().unwrap();
     let opacity = opacity as usize;
-    // Opacities have four bytes.
     let view = file["accessors"][opacity]["bufferView"].as_u64().unwrap() as usize;
     file["bufferViews"][view]["byteStride"] = 4.into();
     file["accessors"][opacity]["componentType"] = 5121.into();
@@ -157,7 +155,7 @@ fn damaged_documents_are_refused() {
     shared["nodes"] = vec![json!({ "mesh": 0 }); 1000].into();
     shared["scenes"][0]["nodes"] = (0..1000).collect();
     assert_damaged("scene.gltf", shared.to_string().as_bytes(), &["expected fewer than bytes"]);
-    // 10^10 nodes times primitives, without a Gaussian.
+    // 10^10 nodes times primitives.
     let empty = json!({ "attributes": shared["meshes"][0]["primitives"][0]["attributes"],
                         "extensions": shared["meshes"][0]["primitives"][0]["extensions"] });
     shared["meshes"][0]["primitives"] = vec![empty; 10_000].into();

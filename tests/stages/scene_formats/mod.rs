@@ -56,7 +56,7 @@ fn coefficient(scene: &Scene, k: usize) -> Vec<f32> {
     scene.sh_coeffs.iter().skip(k).step_by(scene.sh_coeffs_per_gaussian()).flatten().copied().collect()
 }
 
-/// Half a step of SPZ's grids, plus f32 rounding.
+/// Half a step of SPZ's grids.
 #[track_caller]
 fn assert_spz(found: &Scene, truth: &Scene, version: u32, fractional_bits: i32) {
     let slack = 1.0 + 1e-4;
@@ -72,8 +72,8 @@ fn assert_spz(found: &Scene, truth: &Scene, version: u32, fractional_bits: i32) 
         assert_within(&format!("sh {k}"), &coefficient(found, k), &coefficient(truth, k), |_| levels / 128.0);
     }
     // A matrix entry has four times a component's error. Version 3: half a step of sqrt(1/2) / 511
-    // on three components, and their effect on the largest, at least 1/2. Version 2 derives w:
-    // 1/255 on x, y and z becomes up to sqrt(2 * sqrt(3) / 255) at small w.
+    // on three components, and on the largest, at least 1/2. Version 2 derives w: 1/255 on x, y and
+    // z becomes up to sqrt(2 * sqrt(3) / 255) at small w.
     assert_rotations(&found.quats, &truth.quats, if version == 2 { 0.5 } else { 0.01 });
 }
 
@@ -229,7 +229,7 @@ fn damaged_spz_are_refused() {
     assert_damaged("scene.spz", &plain, &["gzip"]);
 }
 
-/// Fifty million Gaussians in a megabyte: possible for deflate, not for a scene.
+/// Possible for deflate, not for a scene.
 #[test]
 fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
     let (_, plain) = spz();

@@ -3,7 +3,7 @@
 use super::{assert_damaged, assert_within};
 use zipsplat_tests::prelude::*;
 
-/// One chunk and a part of another.
+/// A chunk and a part.
 const COUNT: usize = 300;
 
 /// Including both ends.
@@ -67,7 +67,6 @@ fn file(rest: usize, colors: bool) -> Vec<u8> {
     out
 }
 
-/// In f64.
 fn expected(rest: usize, colors: bool) -> Scene {
     let mut scene = Scene { sh_degree: (rest + 1).isqrt() as u32 - 1, ..Scene::default() };
     for i in 0..COUNT {

@@ -1,4 +1,4 @@
-//! PLY files against PyPI's `plyfile`.
+//! Against PyPI's `plyfile`.
 
 use super::scene;
 use std::path::Path;

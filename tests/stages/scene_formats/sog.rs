@@ -30,7 +30,7 @@ fn archived(files: &[(String, Vec<u8>)]) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// The truth's Gaussians in the order of `found`, by nearest mean.
+/// In the order of `found`, by nearest mean.
 fn ordered(truth: &Scene, found: &Scene) -> Scene {
     let distance = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
     let nearest = |mean: &[f32; 3]| {
@@ -47,7 +47,7 @@ fn ordered(truth: &Scene, found: &Scene) -> Scene {
     truth
 }
 
-/// Half a step of the grids; of a codebook of `n` or more distinct values, half the widest cell.
+/// Half a step of the grids, or half the widest cell of a codebook.
 #[track_caller]
 fn assert_sog(found: &Scene, truth: &Scene, [scale, color, rest, opacity]: [f32; 4]) {
     let truth = ordered(truth, found);
@@ -73,7 +73,7 @@ fn sog_keeps_what_its_grids_and_codebooks_resolve() {
         let bytes = encoded(&truth);
         let found = Scene::decode(&bytes, Some(SceneFormat::Sog)).unwrap();
         assert_eq!((found.len(), found.sh_degree), (400, degree));
-        // Ranges of 3, 3.4 and 0.6. Few of 256 cells are wider than 1/64 of them.
+        // Of ranges of 3, 3.4 and 0.6, few of 256 cells are wider than 1/64.
         assert_sog(&found, &truth, [3.0 / 64.0, 3.4 / 64.0, 0.6 / 64.0, 1.001 / 510.0]);
         assert!(encoded(&truth) == bytes);
     }

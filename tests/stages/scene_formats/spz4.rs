@@ -4,7 +4,7 @@ use super::{assert_damaged, assert_spz, round_trip, scene};
 use zipsplat::types::{SaveOptions, SceneFormat};
 use zipsplat_tests::prelude::*;
 
-/// zstd (RFC 8878): one segment, a 4-byte content size, raw blocks, and a run of equal last bytes.
+/// zstd (RFC 8878): one segment, raw blocks, and a run of equal last bytes.
 fn frame(content: &[u8]) -> Vec<u8> {
     let mut out = [&0xfd2f_b528u32.to_le_bytes()[..], &[0xa0], &(content.len() as u32).to_le_bytes()].concat();
     let run = content.iter().rev().take_while(|byte| Some(*byte) == content.last()).count();
@@ -30,7 +30,6 @@ fn file(count: u32, sh_degree: u8, records: &[u8], streams: &[&[u8]]) -> Vec<u8>
     [header, vec![0; 12], records.to_vec(), entries, frames.concat()].concat()
 }
 
-/// Degree 1.
 const POSITIONS: [i32; 6] = [4096, -2048, 1, -1, 8191, -4096];
 const ALPHAS: [u8; 2] = [0, 255];
 const COLORS: [u8; 6] = [0, 255, 51, 102, 153, 204];

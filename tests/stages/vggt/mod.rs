@@ -15,7 +15,6 @@ use zipsplat_tests::reference::forward::Taps;
 use zipsplat_tests::reference::model::Scope;
 use zipsplat_tests::reference::vggt::{self, Sizes};
 
-/// All configurations, whatever their seed.
 fn goldens() -> impl Iterator<Item = Golden> {
     let others = ["vggt_units", "vggt_pre"];
     let of_network =
@@ -29,7 +28,6 @@ fn sizes(a: &DepthArchitecture) -> Sizes {
     Sizes { patch: b.patch_size, width: b.width, heads: b.heads, embedding, pairs }
 }
 
-/// Pairs of the features.
 fn out_pairs(a: &DepthArchitecture) -> impl Iterator<Item = usize> {
     a.backbone.out_layers.iter().map(|block| (block - a.backbone.alt_start) / 2)
 }
@@ -39,7 +37,7 @@ fn joined<T: Copy>([frame, global]: [&[T]; 2], width: usize) -> Vec<T> {
     frame.chunks(width).zip(global.chunks(width)).flat_map(|(a, b)| a.iter().chain(b)).copied().collect()
 }
 
-/// Point and confidence by the values of the point head.
+/// From values of the point head.
 fn world_point(values: &[f64]) -> ([f64; 3], f64) {
     ([0, 1, 2].map(|i| values[i].abs().exp_m1().copysign(values[i])), 1.0 + values[3].exp())
 }
@@ -112,7 +110,7 @@ fn check_tokens(golden: &Golden, a: &DepthArchitecture, observed: &Observed) -> 
     compared
 }
 
-/// Taps of heads: encodings, and maps of the last views.
+/// Encodings, and maps of the last views.
 fn check_heads(golden: &Golden, observed: &Observed) -> usize {
     let rectified = |(i, x): (usize, f32)| if i % 9 > 6 { x.max(0.0) } else { x };
     let mut compared = 0;
@@ -207,7 +205,7 @@ fn positions_and_encodings() {
     assert_close("intrinsics", &lenses.collect::<Vec<_>>(), &golden.f64("pose/intrinsics"), within);
 }
 
-/// Pixels and sums of photos of one size; neither transparency nor padding.
+/// Of one size; neither transparency nor padding.
 #[test]
 fn photos_of_vggt_are_pillows() {
     let Some(golden) = Golden::open("vggt_pre.safetensors") else { return };

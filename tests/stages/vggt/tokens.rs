@@ -1,4 +1,4 @@
-//! ZipSplat's decoder on VGGT, which has no released weights: against the f64 reference.
+//! ZipSplat's decoder on VGGT has no released weights: against the f64 reference.
 
 use crate::depth_reference::pictures;
 use zipsplat::{
@@ -62,7 +62,7 @@ fn files_of_the_decoder_on_vggt_are_read() {
     assert_eq!(Checkpoint::open(&path, None).unwrap().architecture(), &architecture());
 }
 
-/// Tera operations of the aggregator: views, side, DINOv2, all.
+/// Tera operations of the aggregator, by views and side.
 #[test]
 fn work_of_vggt_is_as_stated() {
     let architecture = Architecture::named("vggt").unwrap();

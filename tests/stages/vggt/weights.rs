@@ -1,5 +1,3 @@
-//! Files with released names.
-
 use crate::depth::architecture;
 use std::collections::BTreeMap;
 use tempfile::TempDir;
@@ -13,7 +11,7 @@ fn released_layouts_of_vggt_are_read() {
     let seeded = DepthCheckpoint::seeded(a.clone(), "vggt_micro").unwrap();
     let read = DepthCheckpoint::open_architecture(&path, a.clone()).unwrap();
     assert!(network::weights(&read).unwrap() == network::weights(&seeded).unwrap());
-    // Without the head for points, and saved with its architecture.
+    // Saved with its architecture.
     let folder = TempDir::new().unwrap();
     let saved = folder.path().join("saved.safetensors");
     let smaller = DepthCheckpoint::open_architecture(&path, DepthArchitecture { points: false, ..a.clone() }).unwrap();
@@ -52,7 +50,6 @@ fn vggt_is_as_released() {
     assert_eq!((used + 500_000) / 1_000_000, 1158);
 }
 
-/// Blocks that end no pair, and sizes that fit no head.
 #[test]
 fn impossible_sizes_of_vggt_are_refused() {
     let a = architecture_of_tiny();

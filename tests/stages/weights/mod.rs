@@ -141,7 +141,7 @@ fn seeded_values_are_those_of_the_reference() {
                 expected["first4"].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
             assert_eq!(values[..first.len()], first, "{config}/{name}");
             assert_eq!(values.last().copied(), expected["last"].as_f64(), "{config}/{name}");
-            // Sums of multiples of 2^-20 below 2^30 are exact; JSON may round once.
+            // Sums of multiples of 2^-20 below 2^30 are exact.
             let magnitudes = values.iter().map(|value| value.abs()).sum::<f64>();
             for (key, found) in [("sum", values.iter().sum()), ("abs_sum", magnitudes)] {
                 let expected = expected[key].as_f64().unwrap();
@@ -163,7 +163,6 @@ fn micro_is_the_same_from_seed_safetensors_and_pytorch() {
         assert_same_bits(&stored, &seeded);
         assert_eq!(stored.bytes(), seeded.bytes());
 
-        // Shapes alone leave the out layers open.
         let alone = Checkpoint::open(&path, None);
         if name.ends_with(".tar") {
             assert_eq!(alone.unwrap().architecture(), &golden("micro"));

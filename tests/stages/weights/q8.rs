@@ -159,7 +159,6 @@ fn they_stay_small_on_the_device_and_are_not_rounded_twice() {
         |checkpoint: &Checkpoint| Network::of(checkpoint, &limits, Arithmetic::EXACT).unwrap().weight_bytes() as f64;
     assert!(bytes(&q8) < 0.3 * bytes(&of), "{} of {}", bytes(&q8), bytes(&of));
     let Some(int8) = Arithmetic::of(Precision::Int8, device().limits()) else { return };
-    // Which rounds weights itself.
     assert_refused(Network::of(&q8, &limits, int8), &["q8", "fp32, fp16 or bf16"]);
     assert!(Network::of(&pico_weights(), &limits, int8).is_ok());
 }

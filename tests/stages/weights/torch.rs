@@ -7,7 +7,7 @@ fn model(tensors: &[(&str, Vec<u8>)]) -> Vec<u8> {
     [b"\x80\x02".to_vec(), dict(&[("model", dict(tensors))]), b".".to_vec()].concat()
 }
 
-/// Layouts of released checkpoints, spread over one network.
+/// Layouts of released checkpoints.
 #[test]
 fn all_layouts_are_read() {
     let seeded = pico_weights();
@@ -108,7 +108,7 @@ fn pickles_that_are_not_sound() {
     // The later value counts.
     let twice = dict(&[("model", dict(&[("a", b"N".to_vec())])), ("model", b"]".to_vec())]);
     assert_reason(&pickled(&[twice.as_slice(), b"."].concat()), "no dictionary `model`");
-    // Objects, references, marks, stack and memo entries of a byte or two all count.
+    // Objects, references, marks, stack and memo entries count.
     for many in [b")".as_slice(), b"]", b"}", b"N", b"(", b"N\x94", b"N\x85", b"]\x94h\x00a", b"](NNNNNNNNe"] {
         assert_reason(&pickled(&many.repeat(1 << 20)), "more than 1048576 objects");
     }

@@ -69,8 +69,8 @@ fn every_recipe_opens_by_itself() {
         assert_eq!((opened.image_size(), opened.notes()), (336, &[][..]), "{name}");
         assert_eq!(read(&opened, "backbone.backbone.norm.bias")[..2], [0.5; 2]);
 
-        // A bare state dictionary with a counter. Shapes give all but the out layers, those of the
-        // named network.
+        // A bare state dictionary with a counter. Shapes give all but the named network's
+        // out layers.
         let bare = [tensors(&expected, |name| name.into()), text("step"), int(7), b"s".to_vec()].concat();
         for variant in [None, Some(name), Some(&*name.replace("da3", "vit"))] {
             let opened = open(&bare, variant).unwrap();
@@ -145,7 +145,7 @@ fn sizes_that_no_network_has_are_refused() {
     }
 }
 
-/// Data of numpy and the scheduler, in pickle protocol 2.
+/// Of numpy and the scheduler, in pickle protocol 2.
 #[test]
 fn plain_data_beside_the_model_is_read_over() {
     let dtype = [

@@ -1,5 +1,4 @@
-//! Pose optimization by Adam with an alpha-weighted difference, after ZipSplat's
-//! `pose_estimator.py`.
+//! Adam on poses with an alpha-weighted difference, after ZipSplat's `pose_estimator.py`.
 
 use super::{Aligned, between};
 use crate::{capture::draw, metrics::values};
@@ -17,7 +16,7 @@ use zipsplat::{
 };
 
 pub(super) const STEPS: usize = 200;
-/// Learning rate of rotations in radians and of shifts.
+/// Of rotations in radians and of shifts.
 const RATE: f64 = 5e-3;
 /// Loss change that ends the search after [`PATIENCE`] smaller ones.
 const FLAT: f64 = 1e-5;
@@ -25,7 +24,7 @@ const PATIENCE: usize = 5;
 const LPIPS: f64 = 0.05;
 const EPS: f64 = 1e-8;
 
-/// Takes at most 200 steps, fewer if the mean loss of all photos stays, and returns the last poses.
+/// At most 200 steps, fewer if the mean loss of all photos stays; returns the last poses.
 pub fn align(
     renderer: &mut Renderer,
     photos: &[(&Image, &Camera)],
@@ -68,8 +67,8 @@ pub struct Descent {
 }
 
 impl Descent {
-    /// `truth` is the photo, `[height][width][rgb]`, at the camera's size. Descents of one arena
-    /// share its memory.
+    /// `truth`: photo of the camera's size, `[height][width][rgb]`. Descents of an arena share its
+    /// memory.
     pub fn new(renderer: &Renderer, arena: &Arena, truth: &[f32], camera: &Camera) -> Result<Self> {
         let scene =
             renderer.scene().ok_or_else(|| Error::argument("scene to align to", "none", "one that was loaded"))?;
@@ -78,14 +77,14 @@ impl Descent {
         Ok(Self { camera, adam, truth, scene, arena, backward: None })
     }
 
-    /// Moves the camera. Returns the loss before the step.
+    /// Returns the loss before the step.
     pub fn step(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<f64> {
         let (loss, gradient) = self.gradient(renderer, lpips)?;
         self.camera.pose = self.adam.step(Adam::default(), &self.camera.pose, gradient, [RATE; 2]);
         Ok(loss)
     }
 
-    /// Returns the loss and its gradient at (w, v) = 0, where the pose is pose o (exp(w^), v).
+    /// Loss and gradient at (w, v) = 0, where the pose is pose o (exp(w^), v).
     pub fn gradient(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<(f64, [f64; 6])> {
         let frame = renderer.render(&[self.camera], &with_alpha())?.remove(0);
         let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());

@@ -20,7 +20,7 @@ use zipsplat::{
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
 
-/// Limit of rotation in radians: farther away, blurred pictures match any photo.
+/// Limit of rotation in radians: beyond it, blurred pictures match any photo.
 pub const MOST_TURN: f64 = std::f64::consts::PI / 12.0;
 /// Limit of shift, at a scene distance of about 1.
 pub const MOST_SHIFT: f64 = 0.25;
@@ -42,16 +42,15 @@ const PATIENCE: usize = 12;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Method {
-    /// Least squares, coarse to fine, near the initial camera
+    /// See [`align`].
     LevenbergMarquardt,
-    /// Method of ZipSplat's authors: at most 200 steps of Adam, with LPIPS if its weights are
-    /// available, all photos until their mean loss stays, without a movement limit
+    /// See [`adam::align`].
     Adam,
 }
 
 impl Method {
-    /// Aligns all photos' cameras: one after the other, or by Adam in step, which alone uses LPIPS
-    /// and `arena`. `reach` gets the finished fraction before each step.
+    /// Aligns all photos' cameras: one by one, or in step by Adam, which alone uses LPIPS and
+    /// `arena`. `reach` gets the finished fraction before each step.
     pub fn align(
         self,
         renderer: &mut Renderer,
@@ -73,13 +72,13 @@ impl Method {
 
 pub struct Aligned {
     pub camera: Camera,
-    /// Rendering from the camera, `[height][width][rgb]` in 0..1.
+    /// From the camera, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<f32>,
-    /// Rendering from the initial camera.
+    /// From the initial camera.
     pub before: Vec<f32>,
-    /// Rotation from the initial camera, in radians.
+    /// From the initial camera, in radians.
     pub turn: f64,
-    /// Distance from the initial camera, in the unit of the poses.
+    /// From the initial camera, in the unit of the poses.
     pub shift: f64,
     pub doubt: Option<Doubt>,
 }
@@ -95,9 +94,9 @@ pub enum Doubt {
     Color,
 }
 
-/// Minimizes the squared error, divided by the mean alpha so that holes do not count, between the
-/// rendering of `camera` and `photo`, of equal size. The scene should be at a distance of about 1.
-/// Intrinsics stay fixed.
+/// Minimizes the squared error between the rendering of `camera` and `photo`, of equal size,
+/// divided by the mean alpha so that holes do not count. The scene should be at a distance of about
+/// 1. Intrinsics stay fixed.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.

@@ -1,5 +1,3 @@
-//! MP4 through a pipe to an installed ffmpeg.
-
 use super::Encoder;
 use crate::{
     process::{self, Running, failure, listen},
@@ -24,7 +22,7 @@ const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 1
 pub struct Ffmpeg {
     program: PathBuf,
     child: Running,
-    /// Drains messages: a full pipe would block ffmpeg.
+    /// A full pipe would block ffmpeg.
     messages: Option<JoinHandle<String>>,
     // Dropped after the child, which still writes to it.
     file: Unfinished,
@@ -40,7 +38,7 @@ impl Ffmpeg {
         let mut command = Command::new(program);
         command.args(["-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{width}x{height}"), "-framerate", &fps.to_string(), "-i", "-"]);
-        // The prefix keeps a path from parsing as an option or a protocol.
+        // A path may look like an option or a protocol.
         let mut out = OsString::from("file:");
         out.push(file.temporary_path());
         command.args(ENCODING.split_whitespace()).arg(out);

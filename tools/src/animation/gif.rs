@@ -39,7 +39,7 @@ impl Gif {
 impl Encoder for Gif {
     fn push(&mut self, images: &[Image]) -> Result<()> {
         let (fps, pushed) = (u64::from(self.fps), self.pushed);
-        // Rounds due times, so that errors do not accumulate.
+        // Rounded due times do not accumulate errors.
         let due = |i: u64| (100 * i + fps / 2) / fps;
         let encode = |(i, image): (usize, &Image)| {
             let (width, height) = (side(image.width, "GIF")?, side(image.height, "GIF")?);

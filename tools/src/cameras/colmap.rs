@@ -1,4 +1,4 @@
-//! COLMAP as a program: commands of its steps, and progress from its output.
+//! COLMAP's commands, and progress from its output.
 
 use crate::{masks::MaskArgs, process, session::Stage};
 use clap::{Args, ValueEnum};
@@ -10,7 +10,7 @@ use std::{
 use zipsplat::{Error, Result};
 
 const PYCOLMAP: &str = include_str!("pycolmap.py");
-/// Folder of masks, named after images with `.png` appended.
+/// Named after images, with `.png` appended.
 pub(super) const MASKS: &str = "masks";
 /// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
@@ -59,8 +59,7 @@ pub enum Step {
     Cameras(Mapping),
 }
 
-/// Mapper settings of one attempt. COLMAP samples at random, and its defaults suit many overlapping
-/// photos.
+/// Mapper settings of an attempt. COLMAP samples at random; its defaults suit much overlap.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     seed: u32,
@@ -153,7 +152,7 @@ impl Colmap {
         if version.starts_with(|c: char| c.is_ascii_digit()) && version.lines().count() == 1 {
             return Ok(Self { program: program.into(), python: true, version: version.into() });
         }
-        // A traceback's last line has the reason.
+        // A traceback ends with the reason.
         Err(why(&version.lines().last().unwrap_or("prints nothing")))
     }
 
@@ -255,7 +254,7 @@ fn install() -> &'static str {
 }
 
 impl ColmapOutput {
-    /// Parses a line; returns the step's finished fraction if it has one.
+    /// Returns the step's finished fraction if the line has one.
     pub fn hear(&mut self, line: &str, photos: usize) -> Option<f64> {
         // Strips glog's prefix.
         let text =
@@ -289,7 +288,7 @@ impl ColmapOutput {
     }
 }
 
-/// Parses the first number unless another word precedes it.
+/// Parses a leading number.
 fn number(text: &str) -> Option<usize> {
     let text = text.trim_start();
     text[..text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())].parse().ok()

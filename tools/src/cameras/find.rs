@@ -29,22 +29,21 @@ use zipsplat::{
     },
 };
 
-/// Requests estimation, unless a folder of this name holds a model.
+/// Estimates cameras, unless a folder of this name holds a model.
 pub const COLMAP: &str = "colmap";
-/// Earlier spelling of [`COLMAP`].
 const FIND: &str = "find";
 const DA3: &str = "da3";
 const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Number of photos up to which every unregistered photo justifies a retry.
+/// Up to so many photos, every unregistered one justifies a retry.
 const FEW_PHOTOS: usize = 12;
 /// Registered fraction that needs no retry, for more photos.
 const ENOUGH: f64 = 0.8;
 /// Features below which a photo has too little texture.
 const FEW: usize = 300;
-/// Plausible focal lengths over the longer side: fields of view of 110 to 11 degrees.
+/// Focal lengths over the longer side: fields of view of 110 to 11 degrees.
 const LIKELY: RangeInclusive<f64> = 0.35..=5.0;
 
 #[derive(Args, Clone, Default)]
@@ -73,7 +72,6 @@ pub struct KnownCameras {
     pub found: Option<EstimatedCameras>,
 }
 
-/// Owns the temporary points file.
 pub struct EstimatedCameras {
     pub predicted: Option<Box<PredictedViews>>,
     pub lost: Vec<PathBuf>,
@@ -116,7 +114,6 @@ impl Finder {
         finders.find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
     }
 
-    /// Family of the network, if any.
     pub fn family(self) -> Option<Family> {
         match self {
             Self::Colmap => None,
@@ -141,7 +138,7 @@ impl Finder {
 }
 
 impl KnownCameras {
-    /// Reads a camera file, or estimates cameras for a [`Finder`]'s word, with a note.
+    /// Reads a camera file, or estimates cameras for a [`Finder`]'s word.
     pub fn of(session: &mut Session<'_>, poses: &Path, photos: &[PathBuf], finding: &Finding) -> Result<Self> {
         let Some(finder) = Finder::named(poses) else { return Ok(Self { poses: Capture::open(poses)?, found: None }) };
         let (poses, found) = finder.find(session, photos, finding)?;
@@ -261,7 +258,7 @@ impl<'a> Search<'a> {
             attempts += 1;
             match self.run(session, Step::Cameras(mapping), &models)? {
                 Some(status) if best.is_empty() => return Err(self.failure(Step::Cameras(mapping), status)),
-                // Cameras exist; the log has the reason for the end.
+                // The log has the reason.
                 Some(_) => break,
                 None => {}
             }

@@ -20,8 +20,7 @@ const WIGGLE_ELEVATION: f64 = 2.0;
 
 /// Length of the given order relative to the nearest-neighbor order, above which it is no path.
 const DETOUR: f64 = 1.5;
-/// Largest error of landmarks relative to their distance: in one world, and after alignment by the
-/// first pose.
+/// Largest error of landmarks relative to their distance: in one world, and after alignment.
 const SAME_WORLD: f64 = 0.1;
 const ALIGNED: f64 = 0.3;
 /// Largest default side of a path's pictures.
@@ -48,8 +47,8 @@ pub struct CameraArgs {
     /// From the first view's camera straight toward the scene
     #[arg(long)]
     dolly: bool,
-    /// Once around the scene, about the mean up of the cameras of a file, as of --cameras, or of
-    /// the photos that it was made from
+    /// Once around the scene, about the mean up of a file's cameras, as of --cameras, or of the
+    /// scene's own photos
     #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
     orbit: Option<Option<PathBuf>>,
     /// Small figure of eight in front of the scene, the default path
@@ -59,7 +58,7 @@ pub struct CameraArgs {
     // Clap accepts an option that requires one of several paths with any other.
     #[arg(long = "loop", conflicts_with_all = ["cameras", "ellipse", "dolly", "orbit", "wiggle"])]
     closed: bool,
-    /// Fraction of the distance to the scene's center that --dolly covers; negative: backward
+    /// Fraction of the distance to the scene's center for --dolly; negative: backward
     #[arg(long, value_name = "SHARE", default_value = "0.5", allow_negative_numbers = true,
         conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     travel: f64,
@@ -165,8 +164,8 @@ impl CameraArgs {
         Ok(Intrinsics::from_fov(width, height, hfov, vfov))
     }
 
-    /// Reads a file's cameras, in the world of the requested photo, or of the scene's photo if the
-    /// file has it. Crops them to a requested size, or with `alike` to the first one's.
+    /// Reads a file's cameras, in the world of the requested photo, else of the scene's photo if
+    /// the file has it. Crops them to a requested size, or with `alike` to the first one's.
     fn of_file(
         &self,
         path: &Path,
@@ -269,7 +268,7 @@ fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     Cow::Owned(scene)
 }
 
-/// Levels a pose, keeping its heading.
+/// Keeps the heading.
 fn level(pose: &Pose, up: DVec3) -> Pose {
     let forward = pose.rotation.z_axis.reject_from_normalized(up);
     let forward = forward.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());

@@ -21,8 +21,8 @@ pub(super) struct Work {
 }
 
 impl Work {
-    /// Photos of one size and lens share a folder, and so intrinsics. JPEG and PNG are linked for
-    /// COLMAP to read EXIF; others become PNG.
+    /// Photos of one size and lens share a folder, and so intrinsics. JPEG and PNG are linked, with
+    /// EXIF; others become PNG.
     pub fn new(photos: &[PathBuf], masks: Option<&Masks>, stage: &Stage<'_>) -> Result<Self> {
         masks.map_or(Ok(()), |masks| masks.check(photos))?;
         let cameras = lenses(photos)?;
@@ -49,7 +49,7 @@ impl Work {
         Ok(work)
     }
 
-    /// With the photos' own paths, in their order, and the photos without a camera.
+    /// Also returns the photos without a camera. Names are the photos' own paths.
     pub fn named(&self, model: Capture) -> Result<(Capture, Vec<PathBuf>)> {
         let mut frames: HashMap<String, CaptureView> =
             model.frames.into_iter().map(|frame| (frame.name.clone(), frame)).collect();
@@ -81,7 +81,7 @@ impl Work {
     }
 }
 
-/// Of a format that every COLMAP reads, by first bytes.
+/// `None` for formats that some COLMAP cannot read.
 fn kind(photo: &Path) -> Result<Option<&'static str>> {
     let mut start = [0; 4];
     let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);

@@ -16,9 +16,9 @@ use zipsplat::Result;
 /// Estimate cameras of photos with COLMAP, Depth Anything 3 or VGGT
 ///
 /// Runs COLMAP 3 or 4, or pycolmap, on the CPU. Writes transforms.json with the lens distortion,
-/// points.ply for `refine --init points`, and colmap.log. Keeps the largest component of connected
-/// photos. Retries up to twice, with other seeds and looser thresholds, if that has less than four
-/// fifths of the photos (of up to 12 photos: not all).
+/// points.ply for `refine --init points`, and colmap.log. Keeps the largest group of connected
+/// photos. Retries up to twice, with other seeds and looser thresholds, if that lacks more than a
+/// fifth of the photos, or any of up to 12.
 ///
 /// --method da3 and vggt handle two photos, little overlap and little texture, but are less
 /// accurate where COLMAP succeeds. They need --weights and no other program. points.ply then has

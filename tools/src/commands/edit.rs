@@ -48,15 +48,15 @@ pub struct Edit {
     /// cameras' world]
     #[arg(long, value_name = "PHOTO", requires = "cameras")]
     relative_to: Option<PathBuf>,
-    /// Features of the scenes, of `lift`, one file each: writes those of the edited scene beside
-    /// it, as .safetensors
+    /// Features of the scenes, of `lift`, one file each; the edited scene's are written beside it,
+    /// as .safetensors
     #[arg(long, value_name = "FILE", num_args = 1..)]
     features: Vec<PathBuf>,
     #[command(flatten)]
     edits: Edits,
 }
 
-/// Edits in the order of the command line.
+/// In the order of the command line.
 struct Edits(Vec<Operation>);
 
 /// Help, in the order of [`Operation::FORMS`].
@@ -157,7 +157,7 @@ impl Edit {
         session.report(&json, if edits.is_empty() { text } else { format!("{text}\n{table}") })
     }
 
-    /// Reads the scenes and their features. Their world is kept if all have the same.
+    /// Keeps the world if all scenes have the same.
     fn merged(&self, session: &mut Session<'_>) -> Result<(Scene, Option<Lifted>, usize, Option<World>)> {
         lifted::check_count(&self.features, &self.scenes)?;
         let (mut merged, mut dropped) = self.input.read(session, &self.scenes[0])?;

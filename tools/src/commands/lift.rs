@@ -16,7 +16,7 @@ use zipsplat::{
 
 /// Lift values of photos' pixels to Gaussians: features, masks or labels
 ///
-/// Without VALUES these are the patch tokens of a network's last layer: of the built-in model or of
+/// Without VALUES these are the patch tokens of the last layer of the built-in model or of
 /// --weights, also Depth Anything 3's or VGGT's. Each channel has mean 0 and standard deviation 1.
 ///
 /// A Gaussian gets the mean of all pixels' values, weighted by its blending weights. Writes

@@ -28,11 +28,10 @@ use zipsplat::{
 
 /// Refine a scene's Gaussians against photos with known cameras
 ///
-/// The scene's world is that of the cameras, or the camera of a photo, which the scene's file or
-/// --relative-to names. --init points needs no scene, only the capture's point cloud. From 40
-/// photos on one is held out, and the best step by that photo is written. Ctrl-C stops early and
-/// writes the best step so far. FILE.checkpoint beside the scene keeps the state, every minute and
-/// at Ctrl-C; the same command resumes.
+/// The scene's world is that of the cameras, or the camera of a photo that the scene's file or
+/// --relative-to names. From 40 photos on one is held out, and the best step by that photo is
+/// written. Ctrl-C stops early and writes the best step so far. FILE.checkpoint beside the scene
+/// keeps the state, every minute and at Ctrl-C; the same command resumes.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --cameras transforms.json -o better.ply

@@ -28,7 +28,7 @@ use zipsplat::{
 ///
 /// Writes 000.png, 001.png and so on, and a contact sheet, contact.png. Removes surplus pictures of
 /// an earlier run. The scene's world is the first photo's camera (x right, y down, z forward), or
-/// that of the cameras it was reconstructed with.
+/// that of known cameras.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
@@ -69,8 +69,7 @@ pub struct Render {
     /// Draw each Gaussian as an opaque dot of this width in the scene's unit
     #[arg(long, value_name = "SIZE", value_parser = parse_length)]
     point_size: Option<f64>,
-    /// Also print each pass of the first picture with its time and memory, and each skipped effect
-    /// with the reason
+    /// Also print the first picture's time and memory by pass, and why effects are skipped
     #[arg(long)]
     explain: bool,
     /// Folder to write to, created if missing; -: raw rgb24 pictures in order, to standard output
@@ -78,8 +77,7 @@ pub struct Render {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 with
-    /// ffmpeg
+    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), .mp4 with ffmpeg
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
     /// Pictures per second of --video

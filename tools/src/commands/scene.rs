@@ -27,7 +27,7 @@ const BUFFER: usize = 1 << 20;
 /// Writes images/000.png, depth/000.npy (f32, 0 in the sky), labels/000.png (number of the visible
 /// surface, the largest first; 255: sky and others) and so on, transforms.json, points.ply with
 /// visible points, and scene.json. The world is the first photo's camera, x right, y down, z
-/// forward; its unit is the median visible distance from that camera.
+/// forward; the unit is the median visible distance from it.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat scene --seed 7 --views 24 -o scene/

@@ -17,14 +17,13 @@ use zipsplat::{
 /// Least mean of a mask's values, and pixels of weight, of a Gaussian inside.
 const INSIDE: f32 = 0.5;
 const LEAST_PIXELS: f32 = 0.5;
-/// Least weight at a pixel of a Gaussian chosen there, relative to the largest.
+/// Least weight at a pixel, relative to the largest.
 const CHOSEN: f32 = 0.5;
 
 /// Select Gaussians by masks or by a pixel, and keep or remove them
 ///
 /// Masks alone choose the Gaussians that most of their visible pixels show inside. With --features,
-/// of `lift`, the selection spreads from those, or from a pixel's, to neighbors with similar
-/// features.
+/// the selection spreads from those, or from a pixel's, to neighbors with similar features.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat select scene.ply --masks masks/ --cameras transforms.json -o object.ply
@@ -149,7 +148,7 @@ impl Select {
         Ok(lift(session, scene, &files.cameras(), read)?.at_least(0, INSIDE, LEAST_PIXELS))
     }
 
-    /// Returns the Gaussians with most of the weight at a pixel.
+    /// Gaussians with most of the weight at a pixel.
     fn behind(
         &self,
         session: &mut Session<'_>,
@@ -185,8 +184,7 @@ impl Select {
     }
 }
 
-/// Returns the pixel of a lens's pinhole picture nearest to a photo's pixel, and its distance
-/// there.
+/// Pixel of a lens's pinhole picture nearest to a photo's pixel, and its distance there.
 fn pinhole_pixel(lens: &Lens, [x, y]: [u32; 2]) -> Result<(f64, [u32; 2])> {
     let photo = [lens.intrinsics.width, lens.intrinsics.height];
     let (place, [width, height]) = (lens.places(photo)?, lens.view_size(photo));

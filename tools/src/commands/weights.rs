@@ -70,7 +70,7 @@ struct Where {
 ///
 /// Shows size and license and asks for confirmation. The SHA-256 comes from the host, over an
 /// encrypted connection. Weights of ZipSplat are converted to f16 safetensors. Run the command
-/// again to resume, or to check cached weights for updates.
+/// again to resume, or to check for updates.
 #[derive(Args)]
 #[command(after_help = "Environment:
   HF_ENDPOINT     a mirror in place of https://huggingface.co
@@ -97,7 +97,7 @@ struct Get {
     sha256: Option<String>,
 }
 
-/// Limit of the announced size over the known one, against a wrong file or a full disk.
+/// Announced over known size, against a wrong file or a full disk.
 const MOST_TIMES: u64 = 2;
 
 fn parse_seconds(text: &str) -> Result<Duration, String> {

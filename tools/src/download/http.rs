@@ -59,7 +59,7 @@ fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
 }
 
 impl Client {
-    /// Reads the environment: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token for the hub only,
+    /// Environment: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token for the hub only,
     /// `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` a proxy, `SSL_CERT_FILE` root certificates.
     pub fn from_environment(patience: Duration) -> Result<Self> {
         let set = |name: &str| env::var(name).ok().filter(|value| !value.trim().is_empty());
@@ -96,8 +96,8 @@ impl Client {
         Ok(info)
     }
 
-    /// Requests bytes from `start` on, through redirects. Returns an answer of status 200, 206 or
-    /// 416, and the hub's hash and size.
+    /// Requests bytes from `start` on. Returns an answer of status 200, 206 or 416, and the hub's
+    /// hash and size.
     pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, FileInfo), Failure> {
         self.follow(false, url, start)
     }

@@ -23,7 +23,7 @@ use partial::Partial;
 /// Consecutive retries without progress.
 const TRIES: u32 = 5;
 const RESTARTS: u32 = 3;
-/// Bytes per block, and number of blocks queued for the disk.
+/// Bytes per block, and blocks queued for the disk.
 const CHUNK: usize = 1 << 18;
 const WAITING: usize = 16;
 const POLL: Duration = Duration::from_millis(50);
@@ -55,8 +55,7 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
     }
 }
 
-/// Downloads to [`Promise::path`]. The caller holds its [`Lock`]. After a network failure, another
-/// call resumes.
+/// Downloads to [`Promise::path`]. The caller holds its [`Lock`]. Another call resumes.
 pub fn fetch(
     client: &Client,
     promise: &Promise,
@@ -94,7 +93,7 @@ pub fn fetch(
 struct Tries(u32);
 
 impl Tries {
-    /// Waits with exponential backoff, up to the timeout.
+    /// Exponential backoff, up to the timeout.
     fn failed(&mut self, url: &str, reason: &str, patience: Duration, stage: &Stage<'_>) -> Result<()> {
         self.0 += 1;
         if self.0 == TRIES {
@@ -109,7 +108,7 @@ impl Tries {
     }
 }
 
-/// Runs `work` in a thread that cancellation abandons.
+/// Cancellation abandons the thread.
 fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
     let (send, done) = channel();
     std::thread::spawn(move || {

@@ -63,7 +63,7 @@ impl Lock {
                 }
                 std::thread::sleep(POLL);
             }
-            // The previous owner may have removed the file, and another process recreated it.
+            // Another process may have removed and recreated the file.
             if is_at(&file, &path).map_err(failed)? {
                 return Ok(Self { path, _file: file });
             }
@@ -73,7 +73,6 @@ impl Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // A remaining file is locked by the next process.
         let _ = std::fs::remove_file(&self.path);
     }
 }
@@ -132,7 +131,6 @@ impl Partial {
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
 
-    /// Contiguous bytes.
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }
@@ -147,7 +145,7 @@ impl Partial {
         self.file.set_len(0).map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Renames the file if its hash is right, else removes it.
+    /// Removes the file if its hash is wrong.
     pub fn finish(mut self, stage: &Stage<'_>) -> Result<()> {
         let found = self.hash(stage)?;
         let Self { path, promise_path, base, file, promise } = self;

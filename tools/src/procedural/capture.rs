@@ -16,7 +16,7 @@ use super::tone::Development;
 use super::wide::WideLens;
 use super::world::{Hit, World};
 
-/// Label of the sky, and of surfaces beyond the largest 255.
+/// The sky, and surfaces beyond the largest 255.
 pub const OTHER: u8 = u8::MAX;
 /// Paths tried per place.
 const PATHS: usize = 20;
@@ -30,12 +30,10 @@ const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 /// Pixels between points of wide photos.
 const WIDE_POINT_STEP: u32 = 8;
 
-/// A wide photo, and points that it shows, with their colors.
 pub type WidePhoto = (Image, Vec<(DVec3, [u8; 3])>);
 
 /// Distinct row and column offsets.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
-/// Also distinct from the central ray.
 const BESIDE_CENTER: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 
 pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
@@ -77,7 +75,7 @@ pub struct Capture {
     /// `[views][height][width]` z at pixel centers; 0 in the sky.
     pub depths: Vec<Vec<f32>>,
     /// `[views][height][width]` surface at pixel centers: its rank by visible pixels in all views,
-    /// at most 255, which is also the sky.
+    /// or [`OTHER`].
     pub labels: Vec<Vec<u8>>,
     /// `[views][views]`: share of the first view's surfaces visible in the second.
     pub overlap: Vec<f32>,
@@ -104,7 +102,6 @@ impl Options {
 }
 
 impl Setup {
-    /// Builds places and paths until one passes the survey.
     pub fn new(seed: u64, options: &Options, photos: &Photos, go_on: GoOn<'_>) -> Result<Self> {
         options.validate()?;
         for place in 0..PLACES {
@@ -141,7 +138,7 @@ impl Setup {
         None
     }
 
-    /// Returns the poses (OpenCV, camera-to-world), in meters.
+    /// OpenCV camera-to-world, in meters.
     pub fn poses(&self) -> Vec<Pose> {
         let pose = |view: &View| {
             let cols = [view.rotation.x_axis, view.rotation.y_axis, view.rotation.z_axis].map(|axis| axis.as_dvec3());

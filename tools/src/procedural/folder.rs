@@ -31,8 +31,7 @@ fn label(number: usize) -> String {
     format!("labels/{number:03}.png")
 }
 
-/// Returns the files to check before overwriting. A folder of ours excludes depth and labels,
-/// which state no author.
+/// For checks before overwriting: in our folders without depth and labels, which state no author.
 pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
     let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
     let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);
@@ -44,8 +43,7 @@ pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z, 0 in the sky),
-/// `labels/000.png`, `transforms.json`, `points.ply` and `scene.json`. Removes surplus files.
+/// Removes surplus files of an earlier scene. Depth is f32 `[height][width]`, z, 0 in the sky.
 pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<()> {
     for sub in ["images", "depth", "labels"] {
         let path = folder.join(sub);
@@ -81,8 +79,7 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     save_json(&folder.join(SCENE), &scene)
 }
 
-/// Replaces the photos and points of [`write_folder`] by those of a wide lens, and removes
-/// depth and labels.
+/// Replaces photos and points of [`write_folder`], and removes depth and labels.
 pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, photos: &[WidePhoto]) -> Result<()> {
     let names: Vec<String> = (0..photos.len()).map(photo).collect();
     photos.iter().zip(&names).try_for_each(|((image, _), name)| save_picture(&folder.join(name), image))?;

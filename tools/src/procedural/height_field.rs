@@ -4,8 +4,7 @@ use super::slab::slab;
 
 const BLOCK: usize = 8;
 
-/// Heights over `[-half_side, half_side]` in x and y. The diagonal of a cell joins its low and high
-/// corners.
+/// Heights over `[-half_side, half_side]` in x and y. A cell's diagonal joins low and high corners.
 pub struct HeightField {
     half_side: f32,
     cells: usize,
@@ -51,7 +50,7 @@ impl HeightField {
         Self { half_side, cells, heights, normals, ranges, blocks, max_height }
     }
 
-    /// Returns the side of a cell in meters.
+    /// In meters.
     pub fn step(&self) -> f32 {
         2.0 * self.half_side / self.cells as f32
     }

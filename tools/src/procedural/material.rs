@@ -31,7 +31,7 @@ pub(super) enum Role {
     Anything,
 }
 
-/// `detail` is a typical feature size in meters.
+/// `detail`: typical feature size in meters.
 pub(super) struct Palette<'a> {
     pub photos: &'a Photos,
     pub detail: f32,
@@ -86,7 +86,6 @@ impl Palette<'_> {
         Some(Texture { pattern, period, offset: offset(rng), colors: [tint; 3], stain })
     }
 
-    /// Grass or earth on level ground, rock on slopes.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));

@@ -64,7 +64,7 @@ pub(super) fn value_noise(p: Vec3A) -> f32 {
     (faces.x + (faces.y - faces.x) * s.z) / 255.0
 }
 
-/// Sums octaves around 0.5, mostly in 0..1, except those below `width`.
+/// Octaves around 0.5, mostly in 0..1, except those below `width`.
 pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     let (mut sum, mut weight, mut frequency) = (0.5, 0.5, 1.0);
     for octave in 0..octaves {
@@ -80,7 +80,7 @@ pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     sum
 }
 
-/// Approximate border distance and hash of a Voronoi cell of jittered lattice points.
+/// Approximate border distance and hash of a cell of jittered lattice points.
 pub(super) fn voronoi(p: Vec2) -> (f32, u32) {
     let floor = p.floor();
     let (x, y) = (floor.x as i32, floor.y as i32);

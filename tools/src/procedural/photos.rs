@@ -10,17 +10,17 @@ use zipsplat::{
 
 use super::tone::srgb_to_linear;
 
-/// Class whose crops may color training data and releases.
+/// Allows training data and releases.
 const PERMISSIVE: &str = "permissive";
 
-/// Entry of a texture folder's `manifest.json`; other fields are ignored.
+/// Entry of `manifest.json`; other fields are ignored.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Crop {
     pub file: String,
     pub repo: String,
     #[serde(alias = "licence")]
     pub license: String,
-    /// License class; only `permissive` crops are used.
+    /// Only `permissive` crops are used.
     #[serde(alias = "licence_class")]
     pub license_class: String,
 }
@@ -41,7 +41,7 @@ struct Level {
 }
 
 impl Photos {
-    /// Reads the permissively licensed crops of a folder's `manifest.json`.
+    /// Takes the permissively licensed crops.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);
@@ -67,7 +67,7 @@ impl Photos {
         &self.crops
     }
 
-    /// Samples linear RGB over the mirrored unit square, with footprint `width`.
+    /// Linear RGB over the mirrored unit square, with footprint `width`.
     pub(super) fn sample(&self, photo: usize, uv: Vec2, width: f32) -> Vec3A {
         let Pyramid { levels } = &self.pyramids[photo];
         let level = (width * levels[0].side as f32).max(1.0).log2().min((levels.len() - 1) as f32);

@@ -1,4 +1,4 @@
-//! Primitives and ray intersections in local coordinates.
+//! Ray intersections in local coordinates.
 
 use std::sync::Arc;
 
@@ -54,7 +54,7 @@ impl Primitive {
         (t > 0.0 && t < limit).then_some(t)
     }
 
-    /// Half sides of the world-axis bounding box.
+    /// Half sides, along the world's axes.
     pub(super) fn extent(&self) -> Vec3A {
         let half = match &self.shape {
             Shape::Box { half } => *half,

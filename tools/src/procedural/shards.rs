@@ -39,7 +39,7 @@ const BATCH: u64 = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Number of scenes; 0 until the stream ends.
+    /// 0 until the stream ends.
     pub scenes: u64,
     pub views: u32,
     pub height: u32,
@@ -126,7 +126,7 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Writes the scenes of `seeds` in order, generated on all threads. A range to `u64::MAX` is marked
+/// Writes the scenes of `seeds` in order, generated on all threads. A range to `u64::MAX` is
 /// endless. `written` gets the number of scenes after each batch and may stop the stream.
 pub fn write(
     mut to: impl Write,

@@ -1,4 +1,4 @@
-//! Content and overlap checks of proposed views, with few rays.
+//! Checks of proposed views, with few rays.
 
 use glam::{Vec2, Vec3A};
 use zipsplat::types::median;
@@ -12,9 +12,8 @@ const LEAST_SURFACE: f32 = 0.55;
 /// Nearest distance relative to the median.
 const NEAREST: f32 = 0.22;
 
-/// Minimum share of a view's surfaces visible in each of [`WITNESSES`] other views.
+/// Share of a view's surfaces visible in each of [`WITNESSES`] other views.
 pub const LEAST_OVERLAP: f32 = 0.35;
-/// Number of overlapping views required.
 pub const WITNESSES: usize = 2;
 
 /// In pixels, with a centered principal point.

@@ -116,7 +116,6 @@ impl Texture {
         color * (1.0 + 2.0 * amount * (stain - 0.5)).max(0.1)
     }
 
-    /// Three colors at 0, 1/2 and 1.
     fn ramp(&self, t: f32) -> Vec3A {
         let t = 2.0 * t.clamp(0.0, 1.0);
         let [first, second, third] = self.colors;

@@ -1,4 +1,4 @@
-//! Camera model from linear light to sRGB bytes.
+//! From linear light to sRGB bytes.
 
 use glam::Vec3A;
 use zipsplat::random::mix;

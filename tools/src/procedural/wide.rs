@@ -16,7 +16,6 @@ pub enum WideModel {
 const FISHEYE: [f64; 4] = [-0.02, 0.005, -0.001, 0.0002];
 const HALVINGS: usize = 40;
 
-/// A lens with its inverse.
 pub struct WideLens(pub Lens);
 
 impl WideLens {
@@ -31,7 +30,7 @@ impl WideLens {
         Ok(Self(Lens { intrinsics: Intrinsics { width, height, fx: focal, fy: focal, cx, cy }, distortion, view: 0 }))
     }
 
-    /// Returns the unit ray of a position in pixels, `None` outside the image circle.
+    /// Unit ray of a position in pixels, `None` outside the image circle.
     pub fn ray(&self, x: f64, y: f64) -> Option<Vec3A> {
         let Lens { intrinsics: i, distortion, .. } = &self.0;
         let [x, y] = [(x - i.cx) / i.fx, (y - i.cy) / i.fy];

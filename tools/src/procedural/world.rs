@@ -1,4 +1,4 @@
-//! Scene: primitives, light and sky, and the color along a ray.
+//! Primitives, light and sky, and the color along a ray.
 
 use glam::{Vec3A, Vec3Swizzles};
 
@@ -57,9 +57,9 @@ pub struct World {
 
 pub(super) struct Hit {
     pub light: Vec3A,
-    /// Distance to the surface; `None` in the sky.
+    /// `None` in the sky.
     pub distance: Option<f32>,
-    /// Surface, face and shadow identity; differing neighbors mark an edge for antialiasing.
+    /// Surface, face and shadow: differing neighbors are an edge for antialiasing.
     pub region: u32,
 }
 
@@ -79,7 +79,7 @@ impl World {
         &self.primitives
     }
 
-    /// Distance in meters along a unit direction.
+    /// In meters, along a unit direction.
     pub fn distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
         self.bvh.nearest(&self.primitives, origin, direction, FAR).map(|(t, _)| t)
     }
@@ -88,13 +88,13 @@ impl World {
         self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.center)))
     }
 
-    /// Returns true for a surface in between, except within `slack` meters of the second point.
+    /// By a surface, except within `slack` meters of `to`.
     pub(super) fn blocked(&self, from: Vec3A, to: Vec3A, slack: f32) -> bool {
         let length = (to - from).length();
         self.bvh.occluded(&self.primitives, from, (to - from) / length, length - slack)
     }
 
-    /// `pixel` is the angle of one pixel.
+    /// `pixel`: angle of a pixel.
     pub(super) fn trace(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Hit {
         let Some((t, index)) = self.bvh.nearest(&self.primitives, origin, direction, FAR) else {
             return Hit { light: self.sky.color(direction), distance: None, region: u32::MAX };
@@ -151,7 +151,6 @@ impl World {
         (light, lit)
     }
 
-    /// Ambient attenuation near a room's other surfaces.
     fn corner_shade(&self, point: Vec3A, normal: Vec3A) -> f32 {
         let Some(Room { low, high }) = self.room else { return 1.0 };
         let gaps = (point - low).min(high - point).max(Vec3A::ZERO);

@@ -3,7 +3,7 @@ use crate::capture::{Choice, farthest_points};
 use std::path::Path;
 use zipsplat::{Error, Result, types::poses::Capture};
 
-/// Table column: number and selection of input frames.
+/// Column of the tables.
 pub struct Setting {
     pub views: usize,
     rule: Rule,
@@ -12,15 +12,14 @@ pub struct Setting {
 enum Rule {
     /// Frames of an index file.
     Given(Indices),
-    /// Farthest-point sampling from the first frames, or from all.
+    /// Farthest-point sampling of the first frames, or all.
     Farthest(Option<usize>),
     /// Evenly from first to last, as in RealEstate10K's reference.
     Even,
 }
 
 impl Protocol {
-    /// Reads index files, or takes numbers of inputs. `gaps` override the paper's, one per number
-    /// or one for all.
+    /// `gaps` override the paper's, one per number of views or one for all.
     pub fn settings(self, views: &[u32], gaps: &[usize], files: &[impl AsRef<Path>]) -> Result<Vec<Setting>> {
         if !files.is_empty() {
             let setting = |file: &_| {
@@ -115,7 +114,7 @@ mod tests {
         assert_eq!(even(&frames, 6), [0, 55, 111, 166, 222, 278]);
     }
 
-    /// Frames on a line with doubling steps; the third has no photo.
+    /// On a line with doubling steps; the third has no photo.
     fn line(count: i32) -> Capture {
         let frame = |i: i32| CaptureView {
             name: i.to_string(),

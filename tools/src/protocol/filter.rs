@@ -19,7 +19,7 @@ pub enum Filter {
 }
 
 impl Filter {
-    /// Center-crops a photo to an aspect ratio and resizes it.
+    /// To an aspect ratio.
     pub fn cropped(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => cropped(photo, width, height),
@@ -27,7 +27,7 @@ impl Filter {
         }
     }
 
-    /// Resizes a whole photo at the scale of [`Filter::cropped`].
+    /// At the scale of [`Filter::cropped`].
     pub fn whole(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => whole(photo, width, height),
@@ -36,8 +36,7 @@ impl Filter {
     }
 }
 
-/// Covers a size, with antialiased bilinear weights. Like the reference, rounds sides to even and
-/// truncates values.
+/// Like the reference, rounds sides to even and truncates values.
 fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     if width == 0 || height == 0 {

@@ -1,17 +1,17 @@
-//! Frames from the reference's JSON: `{"scene": {"context": [0, 19, ..], "target": [1, 6, ..]}}`.
+//! Frames in the reference's JSON: `{"scene": {"context": [0, 19, ..], "target": [1, 6, ..]}}`.
 
 use crate::stamp::digest;
 use serde::Deserialize;
 use std::{collections::HashMap, path::Path};
 use zipsplat::{Error, Result};
 
-/// Frames by scene; unlisted scenes are skipped.
+/// Unlisted scenes are skipped.
 pub struct Indices {
     scenes: HashMap<String, Option<Entry>>,
     digest: String,
 }
 
-/// Indices into a scene's camera file. Other JSON fields are ignored.
+/// Indices into a scene's camera file.
 #[derive(Clone, Deserialize)]
 pub struct Entry {
     pub context: Vec<usize>,

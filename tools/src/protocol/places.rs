@@ -11,17 +11,16 @@ use zipsplat::{
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
-    /// Name, as in index files.
+    /// As in index files.
     pub name: String,
-    /// Camera file or folder.
+    /// File or folder.
     cameras: PathBuf,
-    /// Candidate photo folders, best first; if empty, the camera file names the photos.
+    /// Candidate folders, best first; if empty, the camera file names the photos.
     photos: Vec<PathBuf>,
 }
 
 impl Protocol {
-    /// Finds scenes in folders, each a scene or a folder of scenes. `images` overrides a scene's
-    /// photo folder.
+    /// Folders are scenes or contain scenes. `images` overrides a scene's photo folder.
     pub fn places(self, folders: &[PathBuf], images: Option<&Path>) -> Result<Vec<Place>> {
         let mut places: Vec<Place> = Vec::new();
         for folder in folders {

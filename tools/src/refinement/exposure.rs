@@ -1,5 +1,3 @@
-//! When the exposures of photos are learned.
-
 use super::RefineSettings;
 use clap::ValueEnum;
 use std::{
@@ -36,7 +34,7 @@ impl Exposure {
 }
 
 impl RefineSettings {
-    /// Returns whether exposures were learned, and the rule that decided.
+    /// Also names the rule that decided.
     pub(super) fn exposure_rule(&self, photos: &[PathBuf], refined: &RefineResult) -> String {
         let learned = if refined.exposures.is_some() { "learned" } else { "not learned" };
         let rule = match (self.exposure, stops(photos)) {
@@ -52,15 +50,14 @@ impl RefineSettings {
     }
 }
 
-/// Returns the largest difference of the photos' EXIF exposures, in stops, if two or more have one.
+/// In stops; `None` for fewer than two EXIF exposures.
 fn stops(photos: &[PathBuf]) -> Option<f64> {
     let exposures: Vec<f64> = photos.iter().filter_map(|photo| exposure(photo)).collect();
     let bounds = exposures.iter().fold((f64::MAX, f64::MIN), |(low, high), of| (low.min(*of), high.max(*of)));
     (exposures.len() > 1).then_some(bounds.1 - bounds.0)
 }
 
-/// Returns the exposure in EXIF, if complete: the base 2 logarithm of time times ISO over the
-/// squared f-number.
+/// Base 2 logarithm of time times ISO over the squared f-number.
 fn exposure(photo: &Path) -> Option<f64> {
     use exif::{In, Reader, Tag, Value};
     let read = Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;

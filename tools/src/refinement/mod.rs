@@ -48,7 +48,7 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// Returns the checkpoint of a refinement that writes `output`: a file beside it.
+/// For a refinement that writes `output`: a file beside it.
 pub fn checkpoint(
     output: &Path,
     photos: &[PathBuf],
@@ -66,7 +66,7 @@ pub fn checkpoint(
     Ok(RefineCheckpoint::new(path.into(), digest(&parts)))
 }
 
-/// Removes the checkpoint of a scene that is written, unless unreadable files ended the refinement.
+/// After the scene is written, unless unreadable files ended the refinement.
 pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
     let is_needed = matches!(refined.stop_reason, Some(StopReason::Io(_)));
     if let Some(checkpoint) = request.checkpoint.as_ref().filter(|_| !is_needed) {
@@ -74,7 +74,7 @@ pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
     }
 }
 
-/// Photos that are not opened after a cancellation.
+/// Photos are not opened after a cancellation.
 struct Cancellable<'a, P>(P, &'a Stage<'a>);
 
 impl<P: Photos> Photos for Cancellable<'_, P> {
@@ -95,7 +95,7 @@ impl<P: Photos> Photos for Cancellable<'_, P> {
     }
 }
 
-/// Cancellation returns the best so far, if any. Notes doubts.
+/// Cancellation returns the best so far, if any.
 pub fn refine(
     session: &mut Session<'_>,
     arena: &Arena,

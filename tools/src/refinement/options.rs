@@ -17,8 +17,7 @@ use zipsplat::{
     types::{Camera, Image, poses::CaptureView},
 };
 
-/// Joins `--refine` with a following number of steps, so that `--refine`, `--refine=N` and
-/// `--refine N` work for every command.
+/// Joins `--refine` with a following value: `--refine`, `--refine=N` and `--refine N` all work.
 pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for word in args {
@@ -45,7 +44,7 @@ pub const DEFAULT_LENGTH: &str = "60s";
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RefineTask {
     pub length: RefineLength,
-    /// Whether tokens are refined, through the network's head, instead of Gaussians.
+    /// Refines tokens, through the network's head, instead of Gaussians.
     pub tokens: bool,
 }
 
@@ -124,11 +123,10 @@ pub struct RefineSettings {
     /// scale and a shift
     #[arg(long, value_name = "FOLDER|FILE|NETWORK")]
     depth_loss: Option<PathBuf>,
-    /// Initial weight of depth in the loss; it falls to a hundredth [default: 2; 0.5 for a
-    /// network's]
+    /// Initial weight of depth in the loss; it falls to a hundredth [default: 2; 0.5 for networks]
     #[arg(long, value_name = "WEIGHT", requires = "depth_loss", value_parser = parse_weight)]
     depth_weight: Option<f32>,
-    /// Random seed, for the order of the photos and growth
+    /// Random seed of photo order and growth
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
 }
@@ -145,7 +143,6 @@ const SETTINGS: [&str; 9] = [
     "seed",
 ];
 
-/// Of commands that refine on request.
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("settings").args(SETTINGS).multiple(true).requires("refine")))]
 pub struct RefineArgs {
@@ -161,7 +158,7 @@ pub struct RefineArgs {
     pub settings: RefineSettings,
 }
 
-/// Refinement needs cameras: COLMAP estimates them if none are named.
+/// Refinement needs cameras: COLMAP is the default.
 pub fn with_cameras(arg: Arg) -> Arg {
     if arg.get_id() == "cameras" { arg.default_value_if("refine", ArgPredicate::IsPresent, COLMAP) } else { arg }
 }
@@ -200,12 +197,12 @@ impl RefineSettings {
         source.map(|source| KnownDepth::open(session, source, photos, cameras, unit)).transpose()
     }
 
-    /// Settings without a device, where the kind of depth is of no importance.
+    /// Settings of a plan: the kind of depth does not matter.
     pub fn planned(&self, task: RefineTask, antialiased: Antialiasing) -> RefineOptions {
         self.request(task, antialiased, self.depth_loss.as_ref().map(|_| DepthKind::Metric), &[])
     }
 
-    /// Exposures of `photos` by EXIF can turn on that they are learned.
+    /// EXIF exposures of `photos` can enable learned exposures.
     pub fn request(
         &self,
         RefineTask { length, .. }: RefineTask,

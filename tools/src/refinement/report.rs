@@ -138,7 +138,7 @@ fn ended(refined: &RefineResult) -> String {
     }
 }
 
-/// Photos below which a refinement without held-out ones overfits.
+/// Photos below which refinement overfits.
 const FEW: usize = 6;
 
 pub(super) fn doubt(refined: &RefineResult) -> Option<String> {

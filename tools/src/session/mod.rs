@@ -27,15 +27,15 @@ use zipsplat::{
 
 const POLL: Duration = Duration::from_millis(50);
 const NO_DEVICE: &str = "none";
-/// Version of the results printed with `--json`.
+/// Version of the --json output.
 const SCHEMA_VERSION: u32 = 1;
 
 pub struct Terminal<'a> {
     pub out: &'a mut dyn Write,
     pub err: &'a mut dyn Write,
-    /// Progress on standard error: a bar on a terminal, else occasional lines.
+    /// On standard error: a bar on a terminal, else occasional lines.
     pub progress: bool,
-    /// Stop flag: the command ends with exit code 130 and leaves no partial file.
+    /// The command ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,
 }
 
@@ -45,8 +45,8 @@ pub struct Global {
     /// digits; none: plan for a typical GPU, with `--dry-run` [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
-    /// Device memory limit in bytes, such as 3G, also of the photos that a refinement keeps in
-    /// host memory; K, M and G are powers of 1024 [default: all, 4G of photos]
+    /// Device memory limit in bytes, such as 3G, also of photos kept in host memory by a
+    /// refinement; K, M and G are powers of 1024 [default: all, 4G of photos]
     #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
     pub max_memory: Option<u64>,
     /// Print the result as JSON to standard output: {"schema_version", "command", "warnings",
@@ -71,7 +71,6 @@ pub struct Session<'a> {
     warnings: Vec<String>,
     global: Global,
     terminal: Terminal<'a>,
-    /// Standard output carries data, so the result goes to standard error.
     piped: bool,
     code: u8,
     task: String,
@@ -119,7 +118,7 @@ impl<'a> Session<'a> {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
 
-    /// Returns the device to plan for, or none for an ordinary one.
+    /// `None`: an ordinary device.
     pub fn planned_device(&mut self) -> Result<Option<Device>> {
         if self.plans_for_none() {
             return Ok(None);
@@ -166,7 +165,7 @@ impl<'a> Session<'a> {
         Ok((value, start.elapsed()))
     }
 
-    /// Self-tests the kernels on the first use of a precision on a device, with progress.
+    /// Self-tests the kernels on the first use of a precision on a device.
     pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<KernelChoice> {
         let chosen = self.stage("first use", |stage| {
             KernelChoice::of_with(device, precision, |kernel, done| {
@@ -312,7 +311,6 @@ fn kind(error: &Error) -> &'static str {
     }
 }
 
-/// Accepts a binary suffix.
 fn parse_bytes(text: &str) -> Result<u64, String> {
     let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
         Some(number) if text.ends_with('K') => (number, 1 << 10),

@@ -1,4 +1,4 @@
-//! Progress of stages: a bar on a terminal, else occasional lines.
+//! A bar on a terminal, else occasional lines.
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::{
@@ -15,7 +15,7 @@ use std::{
 use zipsplat::{Error, Result, gpu::Progress};
 
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Delay before the first progress line off a terminal.
+/// Off a terminal.
 pub(super) const FIRST_LINE: Duration = Duration::from_secs(5);
 const BETWEEN_LINES: Duration = Duration::from_secs(30);
 const ESTIMABLE: f64 = 0.02;
@@ -42,7 +42,7 @@ impl<'a> Stage<'a> {
     pub(super) fn shown<T>(&self, next_line: &Mutex<Instant>, body: impl FnOnce(&Self) -> T) -> T {
         let result =
             std::thread::scope(|scope| {
-                // Its drop after the body, or by a panic, ends the wait.
+                // Its drop after the body or a panic ends the wait.
                 let (_done, done) = channel::<()>();
                 let bar = &self.bar;
                 scope.spawn(move || {
@@ -75,7 +75,7 @@ impl<'a> Stage<'a> {
         self.at(progress.fraction)
     }
 
-    /// Hidden stage with the same cancellation, for parallel steps.
+    /// With the same cancellation, for parallel steps.
     pub fn silent(&self) -> Stage<'_> {
         Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
     }
@@ -118,7 +118,7 @@ fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant
             return;
         }
         let mut due = due();
-        // Another stage may have printed one meanwhile.
+        // Another stage may have printed one.
         if *due <= Instant::now() {
             *due = Instant::now() + BETWEEN_LINES;
             let _ = writeln!(stderr(), "{}", progress_line(bar));

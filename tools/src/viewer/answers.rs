@@ -20,7 +20,6 @@ const JSON: &str = "application/json";
 pub struct Served<'a> {
     pub config: &'a Config,
     pub scenes: &'a [Scene],
-    /// Scenes on demand.
     pub ready: Option<&'a Ready<'a>>,
     pub watched: Option<&'a Watched>,
     pub studio: &'a Studio,
@@ -28,7 +27,7 @@ pub struct Served<'a> {
 }
 
 impl Served<'_> {
-    /// Returns `None` for unknown paths. Requests with side effects have a `body`.
+    /// `None` for unknown paths. Requests with side effects have a `body`.
     pub fn answer(&self, path: &str, body: Option<&[u8]>) -> Result<Option<Answer>> {
         match (path, body) {
             ("record", Some(body)) => self.record(body).map(Some),

@@ -17,7 +17,7 @@ const FOV: f64 = 60.0;
 pub const QUALITY: u8 = 90;
 pub const SMALL_QUALITY: u8 = 75;
 
-/// JSON: lengths in pixels, camera-to-world, x right, y down, z forward.
+/// Lengths in pixels, camera-to-world, x right, y down, z forward.
 #[derive(Serialize)]
 pub struct InputCamera {
     name: String,
@@ -67,8 +67,7 @@ impl InputCamera {
     }
 }
 
-/// Reads cameras into the scene's world, with notes. Photos come from the camera file's folder or
-/// by name from `photos`; none with `without_photos`.
+/// Also returns notes. Poses are in the scene's world.
 pub fn input_cameras(
     file: &Path,
     relative_to: Option<&Path>,

@@ -6,7 +6,7 @@ use zipsplat::features::Lifted;
 
 /// Most channels in the page.
 const CHANNELS: usize = 16;
-/// Rows that the principal components are computed from, evenly spaced.
+/// Rows for the principal components, evenly spaced.
 const SAMPLE: usize = 4096;
 const ITERATIONS: usize = 16;
 
@@ -22,7 +22,6 @@ pub struct ShownFeatures {
 impl ShownFeatures {
     pub fn new(lifted: &Lifted) -> Self {
         let (channels, count) = (lifted.features.channels, lifted.weights.len());
-        // A column per row of features.
         let rows = DMatrixView::from_slice(&lifted.features.values, channels, count);
         let seen: Vec<usize> =
             (0..count).filter(|i| lifted.weights[*i] > 0.0 && rows.column(*i).amax() > 0.0).collect();

@@ -1,4 +1,4 @@
-//! Scenes of any compression ratio on demand, from the photos' features on the device.
+//! Scenes of any ratio on demand, from features on the device.
 
 use super::page::{Ratios, ShownScene};
 use crate::options::Quality;
@@ -77,7 +77,7 @@ impl Live<'_> {
         made
     }
 
-    /// Acts as [`Live::make`], unless `overtaken`.
+    /// As [`Live::make`], unless `overtaken`.
     pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<LiveScene> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };

@@ -1,4 +1,4 @@
-//! Self-contained HTML page: style, scripts and optional scenes.
+//! Self-contained: style, scripts and optional scenes.
 
 use super::{InputCamera, ShownFeatures};
 use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
@@ -57,7 +57,6 @@ pub struct ShownScene {
     /// Milliseconds.
     pub times: Vec<(String, f64)>,
     pub skipped_passes: Vec<SkippedPass>,
-    /// For the selection of objects.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub features: Option<ShownFeatures>,
 }
@@ -94,7 +93,7 @@ pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scen
             "policy" => out.write_all(policy(&script, requests).as_bytes())?,
             "title" => out.write_all(escaped(&names.join(", ")).as_bytes())?,
             "style" => out.write_all(STYLE.as_bytes())?,
-            // Only this character can end a JSON script element.
+            // Only this character can end the element.
             "config" => out.write_all(serde_json::to_string(config)?.replace('<', "\\u003c").as_bytes())?,
             "worker" => out.write_all(packed(WORKER).as_bytes())?,
             "scenes" => {
@@ -122,7 +121,6 @@ fn write_bytes(out: &mut dyn Write, id: &str, bytes: &[u8]) -> Result<()> {
     out.write_all(b"</script>\n")
 }
 
-/// Drops indentation and lines of comments.
 fn packed(script: &str) -> String {
     let lines = script.lines().map(str::trim_start).filter(|line| !line.starts_with("//"));
     lines.flat_map(|line| [line, "\n"]).collect()

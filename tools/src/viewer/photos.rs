@@ -126,7 +126,7 @@ impl FromPhotos {
         self.refine.steps().is_some()
     }
 
-    /// Runs the network up to its features.
+    /// Up to the network's features.
     pub fn prepare<'a, 's: 'a>(
         &'a self,
         session: &mut Session<'s>,

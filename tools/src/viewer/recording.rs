@@ -1,4 +1,4 @@
-//! Recording of a page's camera path, rendered as by `render --cameras`.
+//! Camera paths of a page, rendered as by `render --cameras`.
 
 use super::server::Answer;
 use crate::{

@@ -39,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// A new one closes the oldest connection.
 const INCOMPLETE: usize = 64;
 
-/// Loopback server whose paths all begin with a random token.
+/// Loopback server with a random token before all paths.
 pub struct Server {
     listener: TcpListener,
     token: String,
@@ -69,7 +69,7 @@ struct Connection {
 }
 
 impl Server {
-    /// Binds `port`, or a free one for 0.
+    /// A free port for 0.
     pub fn new(port: u16) -> Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         listener.set_nonblocking(true)?;
@@ -84,8 +84,7 @@ impl Server {
         format!("http://127.0.0.1:{}/{}/", self.port, self.token)
     }
 
-    /// Serves until `stopped`. `answer` gets the path behind the token and the body of a POST; its
-    /// errors become answers.
+    /// `answer` gets the path behind the token and the body of a POST; its errors become answers.
     pub fn serve<E: ToString>(
         &self,
         answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E> + Sync,
@@ -100,7 +99,6 @@ impl Server {
             }
             let site = Site { token: self.token.clone(), port: self.port, jobs };
             let served = runtime.block_on(self.accept(site, stopped));
-            // Ends all connections, then all workers.
             drop(runtime);
             served
         })
@@ -143,7 +141,6 @@ impl Connection {
             .max_buf_size(HEADER)
             .serve_connection(TokioIo::new(stream), service);
         let task = tokio::spawn(async {
-            // Disconnection or invalid HTTP.
             let _ = serving.await;
         });
         Self { task: task.abort_handle(), complete }
@@ -214,14 +211,12 @@ fn work<E: ToString>(
             Ok(Ok(None)) if body.is_some() => text(StatusCode::METHOD_NOT_ALLOWED, "takes no POST"),
             Ok(Ok(None)) => text(StatusCode::NOT_FOUND, "nothing here"),
             Ok(Err(error)) => text(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
-            // Standard error has the panic's message.
             Err(_) => text(StatusCode::INTERNAL_SERVER_ERROR, "this request failed, a defect of zipsplat"),
         });
     }
 }
 
-/// Returns true for a request by this machine's name from our own page, not from other sites'.
-/// Browsers omit port 80.
+/// Whether a request to this machine's name is from our own page. Browsers omit port 80.
 fn is_own(headers: &HeaderMap, port: u16) -> bool {
     let is_here = |authority: &str| {
         let (name, given) = authority.split_once(':').unwrap_or((authority, "80"));

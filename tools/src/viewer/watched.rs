@@ -19,7 +19,6 @@ use zipsplat::{
     types::{Camera, Image, Scene},
 };
 
-/// Intermediate scenes.
 const SHOWN: usize = 50;
 
 pub enum Target {
@@ -35,11 +34,9 @@ pub struct Watched {
     cameras: Vec<Camera>,
     request: RefineOptions,
     now: Mutex<Now>,
-    /// Ends early with the best so far.
     pub stop: AtomicBool,
 }
 
-/// JSON.
 #[derive(Clone, Default, Serialize)]
 struct Now {
     step: usize,
@@ -48,7 +45,7 @@ struct Now {
     /// Steps and held-out PSNR in dB.
     psnr: Vec<(usize, f64)>,
     seconds_left: f64,
-    /// Increases with every new scene.
+    /// Increases with every scene.
     version: usize,
     /// Final message.
     ended: Option<String>,
@@ -76,7 +73,7 @@ impl Watched {
         }
     }
 
-    /// Refines until the end or `stop`; `progress` gets the finished fraction.
+    /// `progress` gets the finished fraction.
     pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
         let report = |at: RefineProgress<'_>| {
             self.tell(&at);

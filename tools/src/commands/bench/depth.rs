@@ -127,7 +127,7 @@ impl Depth {
             rows.extend(pytorch_rows(&found, &rows));
             Ok(())
         });
-        // Before PyTorch, which may fail.
+        // PyTorch may fail.
         session.report(&rows, text)?;
         compared
     }

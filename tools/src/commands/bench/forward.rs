@@ -107,7 +107,6 @@ impl Forward {
             let name = format!("{views} views");
             let measured = session.stage(&name, |stage| self.measure(&model, &images[..*views], request, &peak, stage));
             let measured = match measured {
-                // Keeps earlier measurements.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
                     continue;
@@ -126,7 +125,7 @@ impl Forward {
             rows.extend(compared.rows);
             Ok(())
         });
-        // Before PyTorch, which may fail.
+        // PyTorch may fail.
         session.report(&rows, text)?;
         compared
     }

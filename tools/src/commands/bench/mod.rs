@@ -17,8 +17,7 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Measure speed: the network, depth, rendering and refinement, the device's peak rates, and
-/// quality over time
+/// Measure speed: network, depth, rendering and refinement, peak rates, and quality over time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
@@ -103,7 +102,7 @@ impl Spread {
         Self { median, min: middle(0), max: middle(ms.len().saturating_sub(1)) }
     }
 
-    /// Returns billions of operations or bytes per second, at the median.
+    /// Billions of operations or bytes per second, at the median.
     fn rate(&self, count: u64) -> f64 {
         count as f64 / (1e6 * self.median.max(1e-6))
     }

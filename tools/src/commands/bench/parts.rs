@@ -9,9 +9,9 @@ use zipsplat::{
 
 #[derive(Clone, Serialize)]
 pub struct Part {
-    /// Empty for all stages.
+    /// Empty for all.
     pub stage: String,
-    /// Empty for all kernels.
+    /// Empty for all.
     pub kernel: String,
     pub commands: u32,
     pub ms: Spread,
@@ -40,7 +40,7 @@ impl Part {
     }
 }
 
-/// Measures the whole on the host and parts by timestamps. `write` uploads each run's inputs.
+/// The whole on the host, parts by timestamps. `write` uploads each run's inputs.
 pub fn measure(
     run: &mut Run,
     write: impl Fn(&mut Run) -> Result<()>,

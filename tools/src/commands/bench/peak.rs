@@ -19,7 +19,7 @@ use zipsplat::{
 };
 use zipsplat_reference::measure::{fma::chains, matrix::products};
 
-/// Bytes of the bandwidth copy, beyond all caches.
+/// Bytes of the copy, beyond all caches.
 const COPIED: u64 = 512 << 20;
 /// Warm-up to the sustained clock.
 const WAKING: Duration = Duration::from_millis(500);
@@ -27,9 +27,9 @@ const WAKING: Duration = Duration::from_millis(500);
 const LONG_ENOUGH: Duration = Duration::from_millis(20);
 /// Keeps sums exact.
 const MOST_ITERATIONS: u32 = 1 << 18;
-/// Enough to fill a GPU or CPU.
+/// Fills a GPU or CPU.
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
-/// Enough to fill the matrix units.
+/// Fills the matrix units.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
 /// Relative to the largest value; results are exact by construction.
 const EQUAL: f64 = 1e-3;
@@ -100,7 +100,7 @@ pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, st
 }
 
 pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
-    // A run-time factor 1, unknown to compilers, and an exact term.
+    // Compilers do not know the factor.
     let of = |iterations| FmaChains { threads: pick(THREADS, device), iterations, factor: 1.0, term: 0.0625 };
     let record = |rec: &mut Recorder, iterations| (of(iterations).record(rec), Vec::new());
     let (iterations, ms, found) = sustained(device, repeats, stage, record)?;

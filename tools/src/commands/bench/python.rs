@@ -12,7 +12,7 @@ use zipsplat::{
 
 pub struct Script {
     option: &'static str,
-    /// Requirements of `option`, for its errors.
+    /// Requirements, for errors of `option`.
     needed: &'static str,
     /// Python code that fails without them.
     check: &'static str,
@@ -86,7 +86,7 @@ impl Script {
         self.output(Command::new(python).args(["-c", self.check])).map(drop)
     }
 
-    /// Runs the script with the file of `scene`, if any, and `args`.
+    /// With the file of `scene`, if any.
     pub fn run<T: DeserializeOwned>(
         &self,
         python: &Path,

@@ -22,7 +22,7 @@ use zipsplat::{
 };
 use zipsplat_verify::noise::{self, Noise};
 
-/// Busy time after which a GPU's clock is at its highest.
+/// Busy time until a GPU's highest clock.
 const FULL_CLOCK: Duration = Duration::from_millis(200);
 
 /// Time of a render, by pass
@@ -110,7 +110,7 @@ impl Render {
     ) -> Result<Vec<Row>> {
         let (camera, request) = (noise::camera(size.0, size.1), RenderOptions::default());
         let Repeats { warmup, repeats } = self.repeats;
-        // Exact capacity: tensor bytes are bytes in use.
+        // Tensor bytes are then bytes in use.
         let mut renderer = Renderer::new(device);
         renderer.render_scene(scene, &[camera], &request)?;
         let intersections = renderer.intersections();
@@ -132,7 +132,7 @@ impl Render {
         let profiles = (0..repeats).map(|_| renderer.profile(&camera, &request)).collect::<Result<Vec<_>>>()?;
         let cameras = vec![camera; repeats as usize];
         let mut in_flight = Duration::ZERO;
-        // The first run records plans.
+        // The first records plans.
         for _ in 0..2 {
             let start = Instant::now();
             renderer.render_each(&cameras, &request, |_, _| stage.reach(1.0))?;

@@ -49,7 +49,7 @@ pub struct Convert {
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
     /// Architecture of a checkpoint that does not name its own: vitg (DA3-Giant, the released
-    /// weights), vitl, vitb, vits, da3s, da3b, da3l; with further fields as in
+    /// weights), vitl, vitb, vits, da3s, da3b, da3l; with further fields as
     /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V")]
     variant: Option<String>,

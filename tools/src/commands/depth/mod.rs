@@ -69,8 +69,8 @@ pub struct Depth {
     /// single-view networks is aligned to the cameras' points
     #[arg(long, requires = "cameras")]
     metric: bool,
-    /// Also run VGGT's point head, whose world points and confidence depths.safetensors and
-    /// points.ply then have
+    /// Also run VGGT's point head, for world points and confidence in depths.safetensors and in
+    /// points.ply
     #[arg(long)]
     point_head: bool,
     /// Photo whose camera is the world, counted from 0 [default: the network's choice]
@@ -194,7 +194,7 @@ impl Depth {
         Ok(Some((frames, poses.points)))
     }
 
-    /// Returns the levels per unit, common to all pictures.
+    /// Returns the levels per unit, of all pictures.
     fn save_pictures(&self, depths: &DepthPrediction, names: &[String]) -> Result<f32> {
         let size = [depths.width, depths.height];
         let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthMap::depth_behind_sky).collect();

@@ -76,7 +76,7 @@ impl Errors {
     }
 }
 
-/// Returns median angle, distance over the extent, and relative focal length error.
+/// Medians for [`Errors::cameras`].
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::of_cameras(pairs)?;
     let centers = pairs.iter().map(|(_, truth)| truth.pose.translation);
@@ -108,8 +108,7 @@ fn ratios(view: &DepthMap, map: &PixelMap, ([width, height], truth): &([u32; 2],
     view.depth.iter().enumerate().filter_map(ratio).collect()
 }
 
-/// Medians of AbsRel and of the share within a factor of 1.25, scaled by the median of photo
-/// medians.
+/// For [`Errors::depth`]: medians over photos, scaled by the median of their medians.
 fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
     let scale = median(photos.iter().filter_map(|ratios| median(ratios.iter().copied())))?;
@@ -141,7 +140,7 @@ mod tests {
         };
         let exact: Vec<(Camera, Camera)> = (0..4).map(|k| (world.apply(&truth(k)), truth(k))).collect();
         assert!(cameras(&exact).expect("places").iter().all(|error| error.abs() < 1e-6));
-        // Two cameras turn by a degree, and all zoom by a tenth.
+        // Turns by a degree, zooms by a tenth.
         let mut off = exact.clone();
         for (k, (found, _)) in off.iter_mut().enumerate() {
             found.intrinsics.fx *= 1.1;
@@ -164,7 +163,7 @@ mod tests {
 
     #[test]
     fn pixels_are_found_in_the_truth() {
-        // A photo of 4 x 2 pixels: its right half becomes 4 x 4, with true depth of 8 x 4.
+        // The right half of 4 x 2 pixels becomes 4 x 4, with true depth of 8 x 4.
         let map = PixelMap { from: [4, 2], to: [4, 4], scale: [2.0, 2.0], offset: [-4.0, 0.0] };
         let truth: Vec<f32> = (0..32).map(|i| i as f32).collect();
         let view = DepthMap { depth: vec![1.0; 16], ..DepthMap::default() };

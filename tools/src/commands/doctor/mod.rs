@@ -9,7 +9,6 @@ use std::path::PathBuf;
 use zipsplat::{Error, Result, gpu::Limits, types::write_atomic};
 use zipsplat_verify::{Finding, Worst, catalog};
 
-/// Exit code for a result outside its bound.
 const OUTSIDE: u8 = 5;
 
 /// Check this device and driver: kernels on hard inputs against f64

@@ -31,7 +31,7 @@ impl Tune {
         let device = session.device()?;
         let limits = device.limits();
         limits.check_timestamps()?;
-        // Keeps earlier results, including failed tiles.
+        // Earlier results include failed tiles.
         let mut tuning = Tuning::known(&device).unwrap_or_default();
         let started = Instant::now();
         let outcome = session.stage("tune", |stage| {

@@ -34,9 +34,7 @@ pub struct Evaluator<'a> {
     arithmetic: Arithmetic,
     model: Option<Model>,
     pub(super) predictor: Option<DepthPredictor>,
-    /// For the scene scale.
     scaler: Option<DepthPredictor>,
-    /// Of the scenes to come.
     pub quality: Quality,
     renderer: Renderer,
     lpips: Option<Perceptual>,

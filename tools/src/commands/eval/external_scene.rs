@@ -22,13 +22,13 @@ const APART: f64 = 0.05;
 
 #[derive(Args)]
 pub struct ExternalScene {
-    /// Evaluate this external scene of the input photos, without reconstruction: PLY, SPZ, .splat
-    /// or glTF; with --protocol a folder of NAME.ply and the like
+    /// Evaluate this scene of the input photos, without reconstruction: PLY, SPZ, .splat or glTF;
+    /// with --protocol a folder of NAME.ply and the like
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "max_gaussians_per_token", "pose_noise", "crop"])]
     scene: Option<PathBuf>,
     /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth, without
-    /// reconstruction. FOLDER has the photos' depth, as for --depth-loss; with --protocol,
-    /// FOLDER/SCENE. --refine starts from it
+    /// reconstruction. FOLDER has depth as for --depth-loss; with --protocol, FOLDER/SCENE.
+    /// --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "max_gaussians_per_token", "pose_noise", "crop", "pose_free"])]
     from_depth: Option<PathBuf>,
     /// World of --scene [default: aligned with --scene-cameras, else the file's, else
@@ -174,7 +174,7 @@ impl ExternalScene {
     }
 }
 
-/// The capture's first input has pose `first`.
+/// `first`: pose of the capture's first input.
 pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &ViewSplit) {
     let pose = first.inverse().compose(&to_cameras.pose);
     let pose = Pose { translation: pose.translation / capture.scene_scale.length, ..pose };

@@ -15,7 +15,7 @@ use zipsplat::{
     types::{Image, Masks},
 };
 
-/// Two pictures or folders of pictures, matched by file name without extension.
+/// Pictures, or folders of pictures matched by file name without extension.
 pub struct ImageSets<'a> {
     pub eval: &'a Eval,
     pub first: &'a PathBuf,
@@ -134,7 +134,7 @@ fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Masks are those of the second picture.
+/// Masks are the second picture's.
 fn compare(pair: &Pair, masks: Option<&Masks>, lpips: Option<&mut Perceptual>) -> Result<Row> {
     let a = Image::open(&pair.files[0])?;
     let b = masks.map_or_else(|| Image::open(&pair.files[1]), |masks| masks.open(&pair.files[1], false))?;

@@ -28,9 +28,9 @@ use images::ImageSets;
 use std::{path::PathBuf, str::FromStr};
 use zipsplat::{Result, refine::RefineLength, weights::Checkpoint};
 
-/// Default number of input photos.
+/// Default of `--views`.
 const VIEWS: u32 = 8;
-/// Default number of a protocol's targets per scene.
+/// Default of `--targets` with `--protocol`.
 const TARGETS: usize = 8;
 
 /// Measure quality on held-out photos of a capture, a data set, or two sets of pictures
@@ -40,9 +40,9 @@ const TARGETS: usize = 8;
 /// mean color. Lengths are in the network's unit, see --scene-scale.
 ///
 /// --pose-free gives the network photos alone. Each picture is then aligned with its photo, within
-/// 15 degrees and 0.25 units of the known camera. The table has the movements and warns about
-/// unreliable scores: flat, a photo without texture, which is not aligned; bound, a camera at its
-/// movement limit; color, a picture no better than one color.
+/// 15 degrees and 0.25 units of the known camera. The table lists the movements and marks
+/// unreliable scores: flat, a photo without texture, not aligned; bound, a camera at its movement
+/// limit; color, a picture no better than one color.
 ///
 /// With weights of Depth Anything 3 or VGGT the scene is that of `reconstruct`, from whole photos.
 /// With --pose-free, estimated cameras map it to the known world.
@@ -50,11 +50,10 @@ const TARGETS: usize = 8;
 /// Two pictures, or equally named pictures in two folders, are compared by PSNR, SSIM (as in
 /// scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
 ///
-/// With --protocol the folders are scenes of a data set, or folders of scenes, evaluated as in the
-/// paper's tables 1 to 3: 8 held-out photos per scene, with the protocol's downscaling and camera
-/// alignment. The output folder has a record and a picture per scene and setting, scenes.csv, the
-/// means as table.md and table.csv, and page.html. Run the command again to resume. A failed scene
-/// is a row of failures.csv, and the exit code is 1.
+/// --protocol evaluates scenes as in the paper's tables 1 to 3: 8 held-out photos each, with the
+/// protocol's downscaling and camera alignment. The output has a record and a picture per scene and
+/// setting, scenes.csv, table.md and table.csv of means, and page.html. Run the command again to
+/// resume. Failed scenes are rows of failures.csv and give exit code 1.
 #[derive(Args)]
 #[command(
     mut_args(for_known_cameras),
@@ -90,10 +89,10 @@ pub struct Eval {
     /// Reconstruct without the cameras, and align each picture with its photo
     #[arg(long)]
     pose_free: bool,
-    /// Camera alignment: none; levenberg-marquardt (least squares, coarse to fine, near the initial
-    /// camera); adam (as ZipSplat's authors: at most 200 steps, with LPIPS if available, without
-    /// movement limit) [default: none with known cameras, levenberg-marquardt with --pose-free,
-    /// adam with --protocol]
+    /// Camera alignment: none; levenberg-marquardt (least squares near the initial camera); adam
+    /// (as ZipSplat's authors: at most 200 steps, with LPIPS if available, without movement limit)
+    /// [default: none with known cameras, levenberg-marquardt with --pose-free, adam with
+    /// --protocol]
     #[arg(long, value_name = "HOW")]
     align: Option<Aligning>,
     #[command(flatten)]
@@ -133,8 +132,7 @@ pub struct Eval {
     pose_noise: f64,
     /// Length of the network's unit in the cameras' unit; or the median distance of the input
     /// photos' pixels from the first camera, by weights of Depth Anything 3 or a folder with
-    /// NAME.npy as --from-depth [default: the median distance of the capture's points, else of the
-    /// point that the cameras look at, else the distance between cameras]
+    /// NAME.npy as --from-depth [default: as of `reconstruct`]
     #[arg(long, value_name = "LENGTH|WEIGHTS|DIR")]
     scene_scale: Option<Scaling>,
     #[command(flatten)]
@@ -148,7 +146,7 @@ pub struct Eval {
     #[arg(long, value_name = "FILE|DIR")]
     difference: Option<PathBuf>,
     /// Folder for scene.ply, in the unit of the network's cameras, and comparison.png: photos,
-    /// predictions, and nearest input photos; of a protocol for its records, tables and page
+    /// predictions, and nearest input photos; with --protocol for records, tables and page
     #[arg(long, short, value_name = "FOLDER", required_if_eq_any([("protocol", "dl3dv"), ("protocol", "re10k"),
         ("protocol", "mipnerf360"), ("protocol", "scannetpp")]))]
     output: Option<PathBuf>,
@@ -160,7 +158,6 @@ fn for_known_cameras(arg: Arg) -> Arg {
     if arg.get_id() == "refine" { arg.conflicts_with("pose_free") } else { arg }
 }
 
-/// Source of the scene scale.
 #[derive(Clone, Debug)]
 enum Scaling {
     Length(f64),

@@ -55,11 +55,11 @@ pub struct Options {
     /// Name of the method in the tables [default: that of the weights]
     #[arg(long, value_name = "NAME", requires = "protocol")]
     name: Option<String>,
-    /// Evaluate each of these --ratio in turn, a row each
+    /// Evaluate each of these --ratio, a row each
     #[arg(long, value_name = "R,..", value_delimiter = ',', requires = "protocol", value_parser = parse_ratio,
         conflicts_with = "ratio")]
     ratios: Vec<Ratio>,
-    /// Evaluate each of these --token-selection in turn, a row each
+    /// Evaluate each of these --token-selection, a row each
     #[arg(long, value_name = "HOW,..", value_delimiter = ',', requires = "protocol", value_parser = parse_selection,
         conflicts_with = "token_selection")]
     token_selections: Vec<TokenSelection>,

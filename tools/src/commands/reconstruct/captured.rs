@@ -15,7 +15,6 @@ pub struct Captured {
     pub photos: Vec<PathBuf>,
     pub poses: Option<Capture>,
     pub frame_folder: Option<FrameFolder>,
-    /// Owns the temporary points file.
     pub found: Option<EstimatedCameras>,
 }
 
@@ -31,7 +30,7 @@ impl Reconstruct {
         self.finding.depth_weights.is_none() && finder.is_none_or(|finder| finder.is_some_and(by_network))
     }
 
-    /// Masks of photos whose cameras are not read from a file.
+    /// Of photos whose cameras are not read from a file.
     pub(super) fn unposed(&self) -> Option<&MaskArgs> {
         let is_unposed = self.cameras.as_deref().is_none_or(KnownCameras::to_find);
         is_unposed.then_some(&self.finding.search.masks)

@@ -128,7 +128,7 @@ pub struct Reconstruct {
     /// photos; --explain lists every tensor
     #[arg(long, help_heading = None::<&'static str>, conflicts_with = "each")]
     dry_run: bool,
-    /// Also print each stage with its time and memory, and each skipped stage with the reason
+    /// Also print each stage's time and memory, and why stages are skipped
     #[arg(long, help_heading = None::<&'static str>)]
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]

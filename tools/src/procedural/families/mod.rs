@@ -82,7 +82,7 @@ fn daylight(rng: &mut Rng) -> (Light, Sky) {
     (Light { key: Key::Sun(sun), color, ambient }, sky)
 }
 
-/// A lamp and light from the walls, without a visible sky.
+/// Light from a lamp and walls; no visible sky.
 fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
     let warmth = rng.range(0.0, 0.3);
     let color = rng.range(0.5, 1.2) * Vec3A::new(1.0, 1.0 - 0.5 * warmth, 1.0 - warmth);
@@ -104,7 +104,7 @@ fn scatter(rng: &mut Rng, count: usize, radius: f32, gap: f32) -> Vec<Vec2> {
     places
 }
 
-/// Adds pictures or shelves to a wall: `origin` is the middle of its foot, `normal` points inward.
+/// Adds pictures or shelves: `origin` is the middle of the wall's foot, `normal` points inward.
 fn hang(b: &mut Builder, origin: Vec3A, normal: Vec3A, half_width: f32, height: f32) {
     let along = Vec3A::Z.cross(normal);
     let axes = super::builder::facing(normal);

@@ -28,7 +28,7 @@ pub struct Case<'a> {
     pub refine: Vec<(Initialization, RefineTask)>,
 }
 
-/// Returns combinations without equal results, the lists' first values first.
+/// Combinations without equal results, the lists' first values first.
 pub fn all<'a>(
     args: &Tradeoff,
     architecture: &Architecture,
@@ -76,7 +76,7 @@ pub fn all<'a>(
             cases.push(case);
         }
     }
-    // Stable sort: equal cases keep their order.
+    // Stable: equal cases keep their order.
     cases.sort_by_key(|case| !case.is_first(args));
     Ok(cases)
 }
@@ -87,7 +87,7 @@ impl Case<'_> {
         chosen && self.request.kv_pool == args.kv_pool[0]
     }
 
-    /// Refines from points alone only in a capture's first case.
+    /// From points alone only in a capture's first case.
     fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Initialization, RefineTask)> {
         let default: &[Initialization] = if self.cloud.is_some() {
             &[Initialization::Points, Initialization::Scene]
@@ -98,7 +98,7 @@ impl Case<'_> {
         let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
         let follows = |(start, steps): &(Initialization, RefineTask)| match start {
             _ if steps.length == RefineLength::Steps(0) || !self.is_first(args) => false,
-            // Tokens always start from the scene.
+            // Tokens start from the scene.
             _ if steps.tokens => *start == Initialization::Scene,
             Initialization::Points => is_new,
             _ => true,

@@ -1,5 +1,5 @@
-//! Plots: the Pareto front, and the paper's figures 1, 8, 10, 11 and 12. Each varies one setting by
-//! color, at the first precision, otherwise with all Gaussians and without refinement.
+//! The Pareto front, and the paper's figures 1, 8, 10, 11 and 12. Each varies one setting by color,
+//! at the first precision, otherwise with all Gaussians and without refinement.
 
 use super::{
     point::{Point, front},
@@ -48,7 +48,7 @@ pub fn pareto(points: &[Point]) -> String {
 pub struct Figure {
     pub heading: &'static str,
     pub plot: String,
-    /// Whether it is a figure of the paper without times, which repeated sweeps of a device equal.
+    /// A figure of the paper without times: repeated sweeps of a device equal it.
     pub is_repeatable: bool,
 }
 
@@ -161,7 +161,7 @@ fn by(
     place: impl Fn(&Point) -> (f64, f64),
 ) -> String {
     let mut series = series(points, meaning, place);
-    // Every selection ends at all tokens.
+    // All selections have it.
     if let Some(all) = series.iter().position(|series| series.name == "all").filter(|_| series.len() > 1) {
         let all = series.remove(all);
         series.iter_mut().for_each(|series| series.points.extend(&all.points));

@@ -32,9 +32,8 @@ use zipsplat::{
 
 /// Quality over time: sweeps settings over a capture, with plots, pictures and a table
 ///
-/// Reconstructs every combination of the lists, most informative first, and compares it with
-/// held-out photos. The page recommends a fast, a balanced and a best setting, and shows each
-/// point's picture and command.
+/// Compares every combination of the lists with held-out photos, most informative first. The page
+/// recommends a fast, a balanced and a best setting, and shows each point's picture and command.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -72,19 +71,17 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     max_gaussians_per_token: Option<Vec<Keep>>,
     /// Refinement steps, or 100:tokens for the scene's tokens; 0 is always included. Combined with
-    /// every number of photos and share of the tokens, with all Gaussians, otherwise first values
+    /// every number of photos and ratio, with all Gaussians, otherwise first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<RefineTask>,
-    /// Initializations of the refinement. Points need no network [default: scene, and points if the
-    /// capture has them]
+    /// Initializations of the refinement [default: scene, and points if the capture has them]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     init: Option<Vec<Initialization>>,
     /// Arithmetics: fp32, fp16, bf16, int8 [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
-    /// Types to round the weights to, as `convert --dtype`: f16, bf16, q8; the weights as stored
-    /// are always included. Combined with every number of photos and share of the tokens, otherwise
-    /// first values
+    /// Types to round the weights to: f16, bf16, q8; the weights as stored are always included.
+    /// Combined with every number of photos and ratio, otherwise first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
     dtype: Vec<Option<Dtype>>,
     /// Largest number of compared photos
@@ -95,7 +92,7 @@ pub struct Tradeoff {
     /// Network input size [default: the trained size]
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
-    /// Length of the network's unit in the cameras' unit [default: as of `eval`]
+    /// Length of the network's unit in the cameras' unit [default: as of `reconstruct`]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// Untimed runs before the measurement

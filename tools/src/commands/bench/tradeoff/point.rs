@@ -34,8 +34,8 @@ pub struct Point {
     pub ssim: f64,
     /// Against `fp32` with equal settings; absent for `fp32`.
     pub psnr_to_fp32: Option<f64>,
-    /// Against the f64 Gaussians of the same tokens; absent after refinement. All f64 comparisons
-    /// are absent if they would take too long.
+    /// Against the f64 Gaussians of the same tokens; absent after refinement. f64 comparisons are
+    /// absent if they would take too long.
     pub psnr_to_f64: Option<f64>,
     /// Relative rms deviations from f64 by stage, before pruning and refinement.
     pub error_backbone: Option<f64>,
@@ -138,9 +138,8 @@ pub fn front(points: &[Point]) -> Vec<usize> {
     order
 }
 
-/// Recommends up to three points of the front: `best` by PSNR, `fast` as the fastest with half of
-/// the front's gain in dB, and `balanced`, farthest above their connecting line in dB over log
-/// time.
+/// Up to three points of the front: `best` by PSNR; `fast`, the fastest with half of its gain in
+/// dB; `balanced`, farthest above their connecting line in dB over log time.
 pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
     let front = front(points);
     let (Some(first), Some(best)) = (front.first(), front.last()) else { return Vec::new() };
@@ -212,7 +211,7 @@ pub(super) mod tests {
 
     #[test]
     fn three_points_of_the_front_are_recommended() {
-        // Half of the front's gain, from 10 to 20 dB, is reached at 17.
+        // Half of 10 to 20 dB is reached at 17.
         let all = [(1.0, 10.0), (2.0, 14.0), (3.0, 13.0), (4.0, 17.0), (8.0, 19.5), (64.0, 20.0)];
         let points: Vec<Point> = all.map(|(ms, psnr)| point(ms, psnr)).into();
         assert_eq!(recommended(&points), [("fast", 3), ("balanced", 4), ("best", 5)]);

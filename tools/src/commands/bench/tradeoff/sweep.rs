@@ -126,7 +126,7 @@ pub fn run(
 
 type Network<'a> = (&'a str, &'a Checkpoint, (Precision, Arithmetic));
 
-/// Returns measurement order: first choices with every network, then the others.
+/// First choices with every network, then the others.
 fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> Vec<(usize, Vec<Case<'a>>)> {
     let mut passes = Vec::new();
     for begins in [true, false] {
@@ -193,7 +193,6 @@ impl Bench<'_> {
         self.sweep.points.push(point);
         self.sweep.pictures.push(picture);
         let spent = self.spent();
-        // This point counts; the next one cancels.
         let _ = stage.at(spent.max(self.sweep.points.len() as f64 / self.sweep.planned as f64).min(1.0));
         if spent < 1.0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     }
@@ -313,7 +312,7 @@ impl Bench<'_> {
     }
 }
 
-/// Returns the kept tokens and, for k-means, the mean number of views per cluster.
+/// Also returns the mean number of views per cluster for k-means.
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
     match case.shape.kept {
@@ -321,7 +320,7 @@ fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>,
         TokenSampling::Indices => return Ok((case.request.token_selection.indices(all, count), None)),
         TokenSampling::Kmeans(_) | TokenSampling::MutualNearest => {}
     }
-    // Runs separately: observation would distort time and memory.
+    // Observation would distort time and memory.
     let (run, _) = observe(model, images, &case.request)?;
     let observed = |name: &str| -> Result<Option<Vec<u32>>> {
         let found = run.observed().iter().find(|(other, _)| other == name);

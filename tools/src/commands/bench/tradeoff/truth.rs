@@ -22,9 +22,9 @@ pub const MOST_FLOPS: u64 = 20_000_000_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Errors {
-    /// Tokens of all output layers.
+    /// Of all output layers.
     pub backbone: f64,
-    /// Scene tokens after the last block.
+    /// After the last block.
     pub fuse: f64,
     pub means: f64,
     pub scales: f64,
@@ -58,8 +58,7 @@ impl<'a> Truth<'a> {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
 
-    /// Compares a reconstruction with f64. `settings` exclude precision. Later calls with equal
-    /// settings use the first call's `chosen` tokens.
+    /// `settings` exclude precision. Calls with equal settings use the first one's `chosen` tokens.
     pub fn compare(
         &mut self,
         model: &Model,

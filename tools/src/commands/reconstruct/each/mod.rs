@@ -28,10 +28,10 @@ use zipsplat::{
     },
 };
 
-/// Scenes of many captures, by one model that stays on the device.
+/// Scenes of many captures, by one model.
 ///
-/// A capture is finished if its scene exists and was made of the same photos, by name, size and
-/// time, with the same options.
+/// A capture is finished if its scene was made of the same photos, by name, size and time, with the
+/// same options.
 pub struct Batch<'a> {
     command: &'a Reconstruct,
     posed: bool,
@@ -112,7 +112,7 @@ impl<'a> Batch<'a> {
         session.report(&json, text)
     }
 
-    /// Locks the output folder against other batches, until dropped.
+    /// Against other batches, until dropped.
     fn lock(&self) -> Result<Option<File>> {
         let output = self.command.output();
         outputs::make_folder(output)?;
@@ -135,7 +135,7 @@ impl<'a> Batch<'a> {
         let mut names: HashMap<String, &Path> = HashMap::new();
         let mut works = Vec::new();
         for folder in &folders {
-            // A missing listed folder fails alone, at its turn.
+            // A missing listed folder fails at its turn.
             let whole = folder.canonicalize().or_else(|_| std::path::absolute(folder));
             let whole = whole.map_err(|error| Error::io(folder, error))?;
             let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -200,7 +200,7 @@ impl Runner<'_> {
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
         let tally = Mutex::new(Tally::default());
         let limit = self.batch.command.limit.unwrap_or(usize::MAX);
-        // Removes the failure list of an earlier run.
+        // The failure list of an earlier run.
         std::fs::remove_file(self.batch.command.output().join(FAILURES)).ok();
         let ended = std::thread::scope(|scope| {
             // Each queue holds one capture.
