@@ -21,7 +21,6 @@ pub type Taps = BTreeMap<String, Vec<f64>>;
 /// Of `norm1`, `norm2` and the final `norm`.
 const BACKBONE_EPS: f64 = 1e-6;
 
-/// Tokens for clustering and fusion.
 pub struct Tokens {
     /// `[views * patches, width]` per output layer, deepest first.
     pub layers: Vec<Vec<f64>>,

@@ -21,7 +21,6 @@ pub mod refine;
 pub mod render;
 pub mod vggt;
 
-/// Converts f32 to f64.
 pub fn widen(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
 }

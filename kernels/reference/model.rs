@@ -68,7 +68,6 @@ impl Architecture {
 
 pub struct Model {
     pub architecture: Architecture,
-    /// Parameters.
     pub weights: Weights,
 }
 
@@ -87,7 +86,6 @@ impl Model {
         Model { architecture: Architecture::from_manifest(manifest), weights: weights.collect() }
     }
 
-    /// Returns parameters below `prefix`.
     pub fn scope(&self, prefix: &str) -> Scope<'_> {
         Scope::of(&self.weights, prefix)
     }

@@ -109,8 +109,7 @@ impl Worst {
     }
 }
 
-/// Value with its f32 error bound, by running error analysis (Wilkinson, Error analysis revisited,
-/// 1986).
+/// Value and f32 error bound by running error analysis (Wilkinson, Error analysis revisited, 1986).
 #[derive(Clone, Copy, Debug)]
 pub struct Bounded {
     pub value: f64,

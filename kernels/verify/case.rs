@@ -21,8 +21,7 @@ pub(crate) trait Problem: 'static {
         Tolerance::ANY
     }
 
-    /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be
-    /// caught.
+    /// Simulates a fault; each output must be caught. Empty if the mode's rounding hides it.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
 
     /// Zeros, which every case must catch unless they are right.
@@ -80,7 +79,6 @@ impl<V: Values> Problem for V {
     }
 }
 
-/// Repeats the values `by` places on, cyclically.
 pub(crate) fn shifted(values: &[f64], by: usize) -> Vec<f64> {
     (0..values.len()).map(|i| values[(i + by) % values.len()]).collect()
 }
@@ -90,7 +88,6 @@ pub(crate) fn joined<const N: usize>(tensors: &[Vec<f32>; N], widths: [usize; N]
     (0..tensors[0].len() / widths[0]).flat_map(row).copied().collect()
 }
 
-/// Rounds to 11 bits.
 pub(crate) fn halves(values: &[f64]) -> Vec<f64> {
     values.iter().map(|&x| half(x)).collect()
 }

@@ -254,7 +254,6 @@ impl Area {
         self.sweep(name, size, faults, move || vec![make()]);
     }
 
-    /// Each problem must catch every fault.
     fn sweep<P: case::Problem>(
         &mut self,
         name: impl Into<String>,

@@ -77,8 +77,7 @@ pub fn bounded_views<P: Borrow<Image>>(
     Ok(views)
 }
 
-/// Resizes a photo to longest side `bound`, then rounds each side to a multiple of [`PATCH`], ties
-/// up.
+/// Resizes a photo to longest side `bound`, rounding sides to multiples of [`PATCH`], ties up.
 ///
 /// # Errors
 /// [`Error::Argument`] if the bound is less than a patch.

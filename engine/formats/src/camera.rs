@@ -105,7 +105,7 @@ impl Pose {
     }
 }
 
-/// A pinhole camera: intrinsics and pose.
+/// A pinhole camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Projection and picture size.
@@ -115,8 +115,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Creates a camera at the origin, with a horizontal field of view in degrees and square
-    /// pixels.
+    /// Creates a camera with square pixels at the origin.
     pub fn from_hfov_deg(width: u32, height: u32, hfov_deg: f64) -> Self {
         let focal = f64::from(width) / 2.0 / (hfov_deg.to_radians() / 2.0).tan();
         let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
@@ -180,9 +179,8 @@ impl Camera {
     }
 }
 
-/// Returns the camera encoder's input per view: `[t (3), quaternion xyzw (4), vfov, hfov]` of the
-/// world-to-camera pose, in radians. Poses must be relative to the first view, at the model's
-/// scale.
+/// Returns the camera encoder's input per view: `[t (3), quaternion xyzw (4), vfov, hfov]`, world
+/// to camera, in radians. Poses must be relative to the first view, at the model's scale.
 pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     let encode = |(i, camera): (usize, &Camera)| {
         camera.validate(&format!("camera {i}"))?;
@@ -195,8 +193,8 @@ pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
 }
 
 /// Returns the input of Depth Anything 3's camera encoder per view: `[center (3), quaternion xyzw
-/// (4), vfov, hfov]` of the camera-to-world pose, in radians. Poses are relative to the first;
-/// centers are divided by their median distance from it, at least 0.1.
+/// (4), vfov, hfov]`, camera to world, in radians. Poses are relative to the first; centers are
+/// divided by their median distance from it, at least 0.1.
 pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     cameras.iter().enumerate().try_for_each(|(i, camera)| camera.validate(&format!("camera {i}")))?;
     let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose.relative_to(&cameras[0].pose)).collect();

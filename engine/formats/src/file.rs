@@ -123,7 +123,7 @@ fn plain(error: std::io::Error) -> std::io::Error {
     std::io::Error::new(error.kind(), reason)
 }
 
-/// An unfinished temporary file, deleted unless finished.
+/// A temporary file, deleted unless finished.
 pub struct Unfinished {
     file: NamedTempFile,
     path: PathBuf,

@@ -19,8 +19,7 @@ pub(super) struct Format {
     pub read: fn(Source<'_>) -> Result<Scene>,
     /// Reads the line of [`World::parse`], if the format can store a world.
     pub world: Option<ReadLine>,
-    /// Prepares a valid scene, in the file's order, for writing; errors here leave the file
-    /// untouched.
+    /// Prepares a valid scene, in the file's order, for writing. Errors leave the file untouched.
     pub write: for<'a> fn(&'a Scene, &SaveOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 

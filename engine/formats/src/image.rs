@@ -137,9 +137,6 @@ impl Image {
 
     /// Converts `[height][width][rgb]` floats: clamps to 0..1, multiplies by 255 and truncates, as
     /// the reference's viewer. NaN becomes 0.
-    ///
-    /// # Errors
-    /// As [`Image::new`].
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
     }
@@ -183,8 +180,7 @@ impl Image {
 /// Arranges images on black in rows of `columns`, each at the top left of equal cells.
 ///
 /// # Errors
-/// [`Error::Argument`] without images or columns, or for a sheet beyond the limits of
-/// [`Image::open`].
+/// [`Error::Argument`] without images or columns, or beyond the limits of [`Image::open`].
 pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     if images.is_empty() || columns == 0 {
         let found = format!("{} images in {columns} columns", images.len());

@@ -165,8 +165,8 @@ impl Lens {
         [((f64::from(self.square().width) * scale).round() as u32).clamp(1, MAX_SIDE); 2]
     }
 
-    /// Makes the shown view's picture of a photo, at the photo's resolution, by cubic
-    /// interpolation. Masks the pixels of cut fisheye photos that the lens does not show.
+    /// Makes the shown view's picture of a photo, at its resolution, by cubic interpolation. Masks
+    /// the pixels of cut fisheye photos that the lens does not show.
     pub fn undistort(&self, photo: &Image) -> Result<Image> {
         photo.validate()?;
         let size = [photo.width, photo.height];

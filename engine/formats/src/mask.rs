@@ -33,8 +33,7 @@ pub enum MaskSource {
     Alpha,
 }
 
-/// Returns the paths of a photo's companion in a folder: `1.jpg.png`, as for COLMAP, or `1.png` for
-/// `1.jpg`.
+/// Returns a photo's companions in a folder: for `1.jpg`, `1.jpg.png` (as COLMAP) or `1.png`.
 pub fn named_after(folder: &Path, photo: &Path, extension: &str) -> [PathBuf; 2] {
     [photo.file_name(), photo.file_stem()].map(|name| {
         let mut name = name.unwrap_or_default().to_owned();
@@ -120,9 +119,6 @@ fn check_size(photo: &Path, size: (u32, u32), mask: &Path, found: (u32, u32)) ->
 
 impl Image {
     /// Adds a mask, `[height][width]`: pixels of 0 are ignored.
-    ///
-    /// # Errors
-    /// As [`Image::new`].
     pub fn with_mask(self, mask: Vec<u8>) -> Result<Self> {
         let image = Self { mask: Some(mask), ..self };
         image.validate()?;
@@ -140,7 +136,7 @@ impl Image {
         self.mask.as_ref().is_some_and(|mask| mask[at] == 0)
     }
 
-    /// Returns the values of a picture, `[height][width][rgb]`, where the mask keeps this image's.
+    /// Returns a picture's values, `[height][width][rgb]`, at kept pixels.
     pub fn kept<'a, T: Copy>(&self, values: &'a [T]) -> Cow<'a, [T]>
     where
         [T]: ToOwned<Owned = Vec<T>>,
@@ -150,7 +146,7 @@ impl Image {
         Cow::Owned(pixels.flat_map(|(pixel, _)| pixel).copied().collect())
     }
 
-    /// Sets the values of a picture, `[height][width][rgb]`, where the mask ignores this image's.
+    /// Sets a picture's values, `[height][width][rgb]`, at ignored pixels.
     pub fn hide<T: Copy>(&self, values: &mut [T], value: T) {
         let Some(mask) = &self.mask else { return };
         let hidden = values.chunks_exact_mut(3).zip(mask).filter(|(_, kept)| **kept == 0);
@@ -177,8 +173,7 @@ impl Image {
         places.map(|at| mask[at]).min().unwrap_or(0)
     }
 
-    /// Returns the mask of a resized image: pixels that the central lobe of a filter makes of kept
-    /// pixels alone.
+    /// Returns the resized mask: keeps pixels whose filter's central lobe has only kept ones.
     pub(super) fn resized_mask(&self, [width, height]: [u32; 2]) -> Option<Vec<u8>> {
         let mask = self.mask.as_ref()?;
         let lobes = |inputs: u32, outputs: u32| {

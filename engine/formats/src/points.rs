@@ -6,8 +6,7 @@ use rayon::prelude::*;
 use rstar::{PointDistance, RTree, primitives::GeomWithData};
 
 const NEIGHBORS: usize = 3;
-/// Maximum size of a Gaussian relative to the nearest camera's distance: isolated points are often
-/// wrong.
+/// Maximum Gaussian size over the nearest camera's distance: isolated points are often wrong.
 const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
 /// Few photos' views do not determine more.

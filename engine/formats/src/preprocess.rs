@@ -32,8 +32,7 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
-    /// Returns the map of [`cropped`]: center crop of `from`, resized to `to`, both `[width,
-    /// height]`.
+    /// Returns the map of [`cropped`], from and to sizes `[width, height]`.
     pub fn cropped(from: [u32; 2], to: [u32; 2]) -> Self {
         let rect = crop_to_aspect(from[0], from[1], f64::from(to[0]) / f64::from(to[1]));
         let scale = [f64::from(to[0]) / f64::from(rect.width), f64::from(to[1]) / f64::from(rect.height)];
@@ -46,7 +45,7 @@ impl PixelMap {
         Self::resized([photo.width, photo.height], [photo.width, photo.height])
     }
 
-    /// Returns the map of a whole photo of size `from` resized to `to`, both `[width, height]`.
+    /// Returns the map of a whole photo, from and to sizes `[width, height]`.
     pub fn resized(from: [u32; 2], to: [u32; 2]) -> Self {
         let scale = [0, 1].map(|axis| f64::from(to[axis]) / f64::from(from[axis]));
         Self { from, to, scale, offset: [0.0; 2] }

@@ -196,7 +196,6 @@ impl Scene {
         kept
     }
 
-    /// Returns each Gaussian's opacity times its two largest scales.
     pub(super) fn visibilities(&self) -> Vec<f32> {
         (0..self.len()).map(|i| self.opacities[i] * self.area(i)).collect()
     }

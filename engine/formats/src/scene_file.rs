@@ -53,8 +53,7 @@ macro_rules! formats {
 }
 
 formats! {
-    /// 3D Gaussian Splatting; also reads packed ones of SuperSplat and PlayCanvas
-    /// (`.compressed.ply`).
+    /// 3D Gaussian Splatting; also reads SuperSplat's and PlayCanvas's `.compressed.ply`.
     Ply ".ply" ply::FORMAT;
     /// Niantic's SPZ.
     Spz ".spz" spz::FORMAT;
@@ -125,8 +124,7 @@ impl Scene {
     /// down, z forward.
     ///
     /// # Errors
-    /// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of
-    /// range.
+    /// [`Error::Format`] for unknown or damaged files, and non-finite or out-of-range values.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_unchecked(path.as_ref())?.validated(path.as_ref())
     }

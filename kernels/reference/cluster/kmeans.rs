@@ -18,7 +18,6 @@ pub struct Clusters {
     pub gaps: Vec<f64>,
 }
 
-/// Returns `max(1, floor(tokens * ratio))` in f64.
 pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
     ((tokens as f64 * ratio) as usize).max(1)
 }

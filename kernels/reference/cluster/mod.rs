@@ -1,4 +1,4 @@
-//! Token selection: k-means, then the token nearest to each centroid; mutual nearest neighbors.
+//! Token selection by k-means or mutual nearest neighbors.
 
 pub mod halves;
 pub mod kmeans;

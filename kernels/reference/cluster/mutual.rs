@@ -1,5 +1,3 @@
-//! Selection by mutual nearest neighbors across views.
-
 use super::nearest::nearest;
 
 /// Returns the patch of each view nearest to each of `x [views * patches, width]`, by view.

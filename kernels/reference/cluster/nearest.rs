@@ -14,8 +14,7 @@ pub fn nearest(points: &[f64], targets: &[f64], width: usize) -> Vec<u32> {
     points.par_chunks(width).map(nearest_of).collect()
 }
 
-/// Finds the two nearest `targets [M, width]` and distances per point, lower indices first; a lone
-/// target twice.
+/// Finds the two nearest `targets [M, width]` per point, lower indices first; a lone target twice.
 pub fn two_nearest(points: &[f64], targets: &[f64], width: usize) -> Vec<[(u32, f64); 2]> {
     points.par_chunks(width).map(|point| two_nearest_of(point, targets)).collect()
 }

@@ -1,11 +1,9 @@
 //! Image losses `[height, width, 3]` and their gradients by the first image.
 
-/// Computes the mean of |a - b|.
 pub fn l1(a: &[f64], b: &[f64]) -> (f64, Vec<f64>) {
     pointwise(a, b, |d| (d.abs(), if d == 0.0 { 0.0 } else { d.signum() }))
 }
 
-/// Computes the mean of (a - b)^2.
 pub fn mse(a: &[f64], b: &[f64]) -> (f64, Vec<f64>) {
     pointwise(a, b, |d| (d * d, 2.0 * d))
 }
@@ -48,7 +46,6 @@ pub fn dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     (sum / count, gradient)
 }
 
-/// Combines 0.8 of [`l1`] and 0.2 of [`dssim`].
 pub fn l1_dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     let (l1, dssim) = (l1(a, b), dssim(a, b, width));
     let mixed = |a: f64, b: f64| 0.8 * a + 0.2 * b;

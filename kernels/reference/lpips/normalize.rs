@@ -10,7 +10,6 @@ pub fn normalize(picture: &[f64], clipped: bool) -> Vec<f64> {
     picture.iter().enumerate().map(value).collect()
 }
 
-/// Propagates gradients of [`normalize`].
 pub fn normalize_backward(picture: &[f64], d: &[f64], clipped: bool) -> Vec<f64> {
     let value = |(i, &x): (usize, &f64)| {
         let inside = !clipped || (x > 0.0 && x < 1.0);

@@ -1,5 +1,4 @@
-/// Takes the largest value of `side` x `side` windows at every `step` of `[height, width,
-/// channels]`.
+/// Takes the maximum of `side` x `side` windows at every `step` of `[height, width, channels]`.
 pub fn pool(picture: &[f64], [width, channels]: [usize; 2], side: usize, step: usize) -> Vec<f64> {
     places(picture, [width, channels], side, step).into_iter().map(|place| picture[place]).collect()
 }

@@ -25,7 +25,6 @@ pub fn sigmoid(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Computes SiLU, `x sigmoid(x)`.
 pub fn silu(x: f64) -> f64 {
     x * sigmoid(x)
 }

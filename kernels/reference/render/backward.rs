@@ -165,7 +165,6 @@ pub fn through_pixel(splats: &[Ellipse], [x, y]: [f64; 2], d: [f64; 5], backgrou
     gradients
 }
 
-/// Gradients of a Gaussian and its camera.
 #[derive(Clone, Copy, Debug)]
 pub struct OneGradient {
     pub mean: [f64; 3],

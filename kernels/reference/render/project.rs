@@ -126,8 +126,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// `|a|^2 |b|^2 - (a b)^2` by two Gram-Schmidt passes, without cancellation for nearly parallel
-/// vectors.
+/// `|a|^2 |b|^2 - (a b)^2` by two Gram-Schmidt passes: nearly parallel vectors do not cancel.
 fn gram_determinant(a: &[f64], b: &[f64]) -> f64 {
     let square = dot(a, a);
     if square == 0.0 {

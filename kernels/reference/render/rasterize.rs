@@ -66,7 +66,6 @@ pub fn rasterize(splats: &[Option<Splat>], size: [usize; 2], background: [f64; 3
     }
 }
 
-/// One blended pixel.
 pub struct Pixel {
     /// RGB without the background.
     pub rgb: [f64; 3],
@@ -78,7 +77,6 @@ pub struct Pixel {
     pub unstable: bool,
 }
 
-/// Returns the alpha of a splat at `[x, y]`.
 pub fn alpha(splat: &Splat, [x, y]: [f64; 2], rules: Rules) -> f64 {
     let [dx, dy] = [x - splat.mean[0], y - splat.mean[1]];
     let [xx, xy, yy] = splat.conic;

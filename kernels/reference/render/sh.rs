@@ -14,8 +14,7 @@ pub fn color(coeffs: &[f64], direction: DVec3) -> [f64; 3] {
     })
 }
 
-/// Computes real spherical harmonics of unit `direction`, by band, then order, with Condon-Shortley
-/// phase.
+/// Computes real harmonics of unit `direction`, by band, then order, with Condon-Shortley phase.
 pub fn basis(degree: i32, direction: DVec3) -> Vec<f64> {
     let azimuth = direction.y.atan2(direction.x);
     let bands = (0..=degree).flat_map(|l| (-l..=l).map(move |m| (l, m)));

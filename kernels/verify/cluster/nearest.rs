@@ -19,14 +19,12 @@ pub struct Problem {
     pub targets: Vec<f32>,
 }
 
-/// Result of a device.
 pub struct Chosen {
     pub targets: Vec<u32>,
     /// Origin for matrix units.
     pub origin: Option<Vec<f32>>,
 }
 
-/// Points, targets, and each point's two nearest targets with distances.
 pub struct Truth {
     points: Vec<f64>,
     targets: Vec<f64>,

@@ -75,8 +75,7 @@ fn turned<T: Copy>(image: &[Vec<T>]) -> Vec<Vec<T>> {
     (0..image[0].len()).map(|x| image.iter().map(|row| row[x]).collect()).collect()
 }
 
-/// Returns 1 - SSIM and half its derivatives by the means of a - MIDDLE, squares and squared
-/// difference.
+/// 1 - SSIM and half its derivatives by the means of a - MIDDLE, squares and squared difference.
 fn dssim([a, d, variances, variance]: [Bounded; 4]) -> (Bounded, [Bounded; 3]) {
     let (one, b) = (Bounded::exact(1.0), a - d);
     let means = a * a + b * b + Bounded::rounded(C1);

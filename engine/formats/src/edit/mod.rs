@@ -69,7 +69,7 @@ pub struct Edited {
 }
 
 impl Edit {
-    /// Name and numbers of each variant for [`Edit::new`], in the order of the variants.
+    /// Name and numbers of each variant for [`Edit::new`], in order.
     pub const FORMS: [(&str, &str); 14] = [
         ("crop-box", "X,Y,Z,X,Y,Z"),
         ("crop-sphere", "X,Y,Z,RADIUS"),
@@ -87,7 +87,7 @@ impl Edit {
         ("sort", ""),
     ];
 
-    /// Creates an edit from its name and numbers, in the order of the variant's fields.
+    /// Creates an edit from its name and its variant's numbers, in order.
     ///
     /// # Errors
     /// [`Error::Argument`] for an unknown name, a wrong count of numbers or an invalid one.
@@ -194,8 +194,8 @@ impl Scene {
         selection::connected(self, members, seeds, neighbors)
     }
 
-    /// Returns a copy after `edits`, in order. `cameras` are in the scene's
-    /// world; edits that move the scene move them, too.
+    /// Returns a copy after `edits`, in order. `cameras` are in the scene's world; edits that move
+    /// the scene move them, too.
     ///
     /// # Errors
     /// [`Error::Argument`] for a scene that is invalid before or after, an edit that needs cameras

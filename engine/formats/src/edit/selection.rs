@@ -58,7 +58,6 @@ pub(super) fn views(edited: &mut Edited, cameras: &[Camera], count: usize) -> St
     select(edited, hold, &format!("in the pictures of fewer than {count} cameras"))
 }
 
-/// Returns the members that `seeds` reach through nearest neighbors that are members, in order.
 pub(super) fn connected(scene: &Scene, members: &[bool], seeds: &[usize], neighbors: usize) -> Vec<usize> {
     let tree = tree(scene);
     let mut reached = vec![false; scene.len()];

@@ -135,7 +135,6 @@ fn component(code: u32) -> Option<Scalar> {
     })
 }
 
-/// Returns a number as a fraction of its type's largest.
 fn normalized(scalar: Scalar, value: f32) -> f32 {
     let largest = match scalar {
         Scalar::I8 => f32::from(i8::MAX),

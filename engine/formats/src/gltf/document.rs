@@ -175,8 +175,7 @@ impl Document {
         Ok(())
     }
 
-    /// Returns the roots of the default or first scene; without scenes, all nodes that are no
-    /// child.
+    /// Returns the roots of the default or first scene; without scenes, all nodes without parents.
     fn roots(&self) -> Parsed<Vec<usize>> {
         if self.scenes.is_empty() {
             let children: HashSet<usize> = self.nodes.iter().flat_map(|node| node.children.iter().copied()).collect();

@@ -2,8 +2,7 @@
 //! attribute, linear scales and opacities. Converts from x left, y up, z forward.
 //!
 //! Reads all Gaussians of the default scene, with node transforms applied; buffers may be embedded,
-//! base64, or files in its folder. Writes one file, lossless except that quaternions are
-//! normalized.
+//! base64, or files in its folder. Writes one file, lossless except for normalized quaternions.
 
 mod buffers;
 mod document;

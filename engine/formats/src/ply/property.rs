@@ -2,7 +2,7 @@ use super::{encoder, property_names, start, table::Ply};
 use crate::{Error, Result, Scene, World, file::write_atomic, source::Source};
 use std::path::Path;
 
-/// A value per Gaussian under a name of its own, which other programs ignore.
+/// A value per Gaussian, which other programs ignore.
 #[derive(Clone, Copy, Debug)]
 pub struct PlyProperty<'a> {
     /// Name in the file.
@@ -15,7 +15,7 @@ pub struct PlyProperty<'a> {
 ///
 /// # Errors
 /// [`Error::Argument`] for an invalid scene, a name with white space or of another property, and
-/// another number of values; [`Error::Io`].
+/// another number of values.
 pub fn write_ply_with(scene: &Scene, path: &Path, world: Option<&World>, property: &PlyProperty<'_>) -> Result<()> {
     scene.validate()?;
     let PlyProperty { name, values } = property;
@@ -33,7 +33,7 @@ pub fn write_ply_with(scene: &Scene, path: &Path, world: Option<&World>, propert
 /// Reads a property of all Gaussians.
 ///
 /// # Errors
-/// [`Error::Format`] for another file or one without the property; [`Error::Io`].
+/// [`Error::Format`] for another file or one without the property.
 pub fn read_ply_property(path: &Path, name: &str) -> Result<Vec<f32>> {
     let read = |mut ply: Ply<'_>| {
         let table = ply.table("vertex")?;

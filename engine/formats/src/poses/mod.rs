@@ -50,7 +50,7 @@ pub struct CaptureView {
 }
 
 impl CaptureView {
-    /// Returns a frame for each view of the lens, which has the pose, or for one of them.
+    /// Returns a frame for each view of the lens, or for one.
     fn of_lens(
         (name, photo): (String, Option<PathBuf>),
         lens: Lens,
@@ -227,7 +227,6 @@ impl Capture {
         Ok(views)
     }
 
-    /// Adds a warning about photos that have several views.
     fn warn_of_cut(mut self) -> Self {
         let cut: HashSet<&str> =
             self.frames.iter().filter(|frame| frame.is_later_view()).map(|frame| frame.name.as_str()).collect();

@@ -1,5 +1,4 @@
-//! SPZ version 4: 32-byte header, extension records, table of stream sizes, a zstd frame per
-//! section.
+//! SPZ version 4: header, extension records, table of stream sizes, a zstd frame per section.
 
 use std::io::{Read, Write};
 

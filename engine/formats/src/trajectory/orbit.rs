@@ -46,8 +46,7 @@ impl Orbit {
         Pose { rotation: looking(-toward, UP, DVec3::X), translation: self.center + self.radius * toward }
     }
 
-    /// Returns `frames` cameras at one elevation, from azimuth `start` through `degrees`,
-    /// inclusive.
+    /// Returns `frames` cameras over `degrees` of azimuth from `start`, inclusive.
     pub fn sweep(&self, frames: usize, start: f64, degrees: f64, elevation: f64) -> Vec<Pose> {
         path(frames).map(|t| self.pose(start + degrees * t, elevation)).collect()
     }

@@ -123,8 +123,7 @@ fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
     cameras.iter().map(target).collect()
 }
 
-/// Returns centripetal knot intervals with a minimum relative to their mean; equal if no camera
-/// moves.
+/// Returns centripetal knot intervals, bounded below relative to their mean; equal if still.
 fn intervals(cameras: &[Camera], closed: bool) -> Vec<f64> {
     let next = cameras.iter().cycle().skip(1);
     let segments = if closed { cameras.len() } else { cameras.len() - 1 };

@@ -59,7 +59,6 @@ struct Sum {
 }
 
 impl Problem {
-    /// Creates a random layer.
     pub fn random(rows: usize, inner: usize, columns: usize) -> Self {
         let mut noise = Noise::new((rows * 31 + inner * 7 + columns) as u64);
         let (x, weight, bias) = (noise.values(rows * inner), noise.values(columns * inner), noise.values(columns));

@@ -30,8 +30,7 @@ pub(crate) struct Splat {
     depth: f32,
 }
 
-/// Splats from near to far with a slot per tile, and pixel gradients of red, green, blue, alpha and
-/// depth.
+/// Splats from near to far with a slot per tile, and pixel gradients of RGB, alpha and depth.
 struct Problem {
     splats: Vec<Splat>,
     frames: Vec<f32>,
@@ -111,8 +110,7 @@ pub(crate) fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
 
 pub(crate) type Share = [Bounded; VALUES];
 
-/// Mirrors kernels/render/rasterize_backward.comp on one pixel; `None` if rounding may flip a
-/// threshold.
+/// Mirrors render/rasterize_backward.comp on one pixel; `None` if rounding may flip a threshold.
 pub(crate) fn pixel(
     splats: &[Splat],
     [x, y]: [f64; 2],
