@@ -14,20 +14,20 @@
  *     zs_capture          photos and their cameras, from transforms.json, COLMAP or arrays
  *     zs_blob             an encoded scene file in memory
  *
- * Errors. Functions that can fail return a zs_status: ZS_OK is 0, any other value a failure.
- * zs_last_error returns the calling thread's message. A failed call leaves no partial object; a
- * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
- * Only exhausted host memory ends the process.
+ * Errors. Functions that can fail return a zs_status, ZS_OK on success; zs_last_error returns the
+ * calling thread's message. A failed call leaves no partial object; a constructor sets its output
+ * to NULL. No C++ exception or Rust panic crosses this interface. Only exhausted host memory ends
+ * the process.
  *
- * Ownership. The caller owns the objects that calls create. Destroy them once, on any thread and in
- * any order, when no call uses them; destroying NULL does nothing. Your own Vulkan handles must
- * outlive all objects created on them. Strings and arrays in outputs are in the object's memory:
- * never free them. Pointer arguments are accessed only during the call unless documented otherwise.
+ * Ownership. The caller owns created objects and destroys them once, on any thread and in any
+ * order, when no call uses them; destroying NULL does nothing. Your Vulkan handles must outlive all
+ * objects created on them. Strings and arrays in outputs belong to the object: never free them.
+ * Pointer arguments are accessed only during the call unless documented otherwise.
  *
  * Threads. Threads can share all objects. A lock in each zs_renderer serializes its calls; calls on
  * one zs_model run in parallel, at the cost of memory. Callbacks run on the calling thread; no
- * longjmp and no C++ exception may leave them. A thread pool of RAYON_NUM_THREADS threads, by
- * default one per core, prepares photos, weights and files. It lives as long as the process.
+ * longjmp or C++ exception may leave them. A pool of RAYON_NUM_THREADS threads, by default one per
+ * core, prepares photos, weights and files until the process ends.
  *
  * Cache. The library caches self-test results of kernels, tile sizes of `zipsplat doctor tune` and
  * LPIPS weights in the folder ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA,
@@ -43,10 +43,9 @@
  * Values. Strings are UTF-8, warnings one per line. Unknown enumeration values are rejected. Sizes
  * are in bytes, counts in elements, image sides in pixels. Existing files are replaced atomically.
  *
- * World. Axes are x right, y down, z forward. A scene from photos is in the world of their cameras.
- * Without known cameras it is in the first photo's camera space, and its scale is not metric: the
- * median distance from the first camera to visible surfaces is about 1. Scenes from files and
- * arrays keep their own world.
+ * World. Axes are x right, y down, z forward. A scene from photos is in their known cameras' world,
+ * else in the first photo's camera space. There the scale is not metric: the median distance from
+ * the first camera to visible surfaces is about 1. Scenes from files and arrays keep their world.
  *
  * Reproducibility. Equal calls on the same device and driver give bitwise equal results.
  */
@@ -57,15 +56,14 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
+// A 32-bit enumeration: a type of its own in C++ and C23, an integer in older C.
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
 #define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
 #else
 #define ZS_ENUM(name) typedef int32_t name; enum name
 #endif
 
-// A structure with its size set and every field at its default, as in
-// `zs_camera camera = ZS_INIT(zs_camera);`.
+// A structure with its size set and defaults: `zs_camera camera = ZS_INIT(zs_camera);`.
 #ifdef __cplusplus
 #define ZS_INIT(type) ([] { type value_{}; value_.struct_size = sizeof(type); return value_; }())
 #else
@@ -76,9 +74,9 @@
 extern "C" {
 #endif
 
-/************************************************/
-/*  Versions of the header and of the library.  */
-/************************************************/
+/***************/
+/*  Versions.  */
+/***************/
 
 // Version of this header's library: fixes raise the patch number, additions the minor one.
 #define ZS_VERSION_MAJOR 0
@@ -98,9 +96,9 @@ uint32_t zs_abi_version(void);
 // Returns the library's version, as "0.2.0".
 const char *zs_version(void);
 
-/**************************************/
-/*  Status codes and error messages.  */
-/**************************************/
+/*******************/
+/*  Status codes.  */
+/*******************/
 
 // Result of a call. Treat unknown values as failures.
 ZS_ENUM(zs_status) {
@@ -120,8 +118,7 @@ ZS_ENUM(zs_status) {
     ZS_ERROR_OUT_OF_MEMORY = 6,
     // The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    // The device was reset or removed. Destroy all its objects and create a new one. Scenes
-    // survive.
+    // The device was reset or removed. Destroy its objects and create a new one. Scenes survive.
     ZS_ERROR_DEVICE_LOST = 8,
     // The progress callback canceled the call.
     ZS_ERROR_CANCELLED = 9,
@@ -134,7 +131,7 @@ ZS_ENUM(zs_status) {
 // Returns a status's name, or "unknown status".
 const char *zs_status_name(int32_t status);
 
-// Returns the message of the calling thread's last failure, or "", of at most 16 KiB. The pointer
+// Returns the message of the calling thread's last failure, or "", at most 16 KiB. The pointer
 // stays valid until the thread ends; the next failure overwrites the text.
 const char *zs_last_error(void);
 
@@ -173,8 +170,8 @@ typedef struct zs_progress {
     double eta_seconds;
 } zs_progress;
 
-// Progress callback. `progress` is valid during the callback. It may call zs_ functions, but not
-// on the call's own objects. Unknown answers cancel.
+// Progress callback; `progress` is valid during it. It may call zs_ functions, except on the call's
+// own objects. Unknown answers cancel.
 typedef zs_progress_action (*zs_progress_callback)(void *user_data, const struct zs_progress *progress);
 
 /**************/
@@ -225,8 +222,7 @@ typedef struct zs_device_options {
     uint32_t validation;
     // Device memory budget, checked before submission; 0 is unlimited.
     uint64_t max_memory_bytes;
-    // Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
-    // the best device.
+    // Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL: the best.
     const char *device;
     // Cache folder; "" disables caching. NULL is the default (see Cache).
     const char *cache_dir;
@@ -251,8 +247,7 @@ void zs_device_destroy(struct zs_device *device);
 /*  Cameras.  */
 /**************/
 
-// A pinhole camera with OpenCV axes: x right, y down, z forward. Lengths are in pixels, with
-// centers at +0.5.
+// A pinhole camera with OpenCV axes. Lengths are in pixels, with centers at +0.5.
 typedef struct zs_camera {
     uint32_t struct_size;
     uint32_t reserved;
@@ -321,7 +316,7 @@ typedef struct zs_image {
     const void *pixels;
     // Byte per pixel, top row first, or NULL: 0 ignores a pixel in reconstruction and refinement.
     const uint8_t *mask;
-    // Bytes between rows of the mask, as `stride`.
+    // As `stride`, for the mask.
     int64_t mask_stride;
     // height x width, for zs_refine_options.depth_loss: known depth along the camera's z axis, 0
     // if unknown; or NULL.
@@ -359,11 +354,11 @@ void zs_image_buffer_destroy(struct zs_image_buffer *photo);
 // Writes an 8-bit RGB PNG.
 zs_status zs_image_save_png(const struct zs_image *image, const char *path);
 
-/******************************************/
-/*  Captures: photos with known cameras.  */
-/******************************************/
+/***************/
+/*  Captures.  */
+/***************/
 
-// Posed photos.
+// Photos with known cameras.
 typedef struct zs_capture zs_capture;
 
 // A photo of a capture.
@@ -390,8 +385,7 @@ typedef struct zs_capture_info {
 
 // Opens a capture: a transforms.json (instant-ngp, nerfstudio), a COLMAP model folder, or a folder
 // that contains either. World and scale stay the file's. Photos are read only for sizes that the
-// file lacks. Photos of lenses wider than 110 degrees have several views, one after another and of
-// one name.
+// file lacks. Photos of lenses wider than 110 degrees have several adjacent views of one name.
 zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
 // Creates a capture from copies of pinhole cameras. Paths may be NULL.
@@ -410,8 +404,7 @@ zs_status zs_capture_get_view(const struct zs_capture *capture, size_t index, st
 // `index` is the number of photos. An ambiguous match is a ZS_ERROR_ARGUMENT.
 zs_status zs_capture_find(const struct zs_capture *capture, const char *path, size_t *index);
 
-// Opens photo `index` undistorted, ignoring the EXIF orientation, from `path` or, if NULL, the
-// capture's path.
+// Opens photo `index` undistorted, ignoring the EXIF orientation, from `path`; NULL: the capture's.
 zs_status zs_capture_open_image(const struct zs_capture *capture,
                                 size_t index,
                                 const char *path,
@@ -427,9 +420,9 @@ zs_status zs_capture_open_masked_image(const struct zs_capture *capture,
 // Destroys a capture.
 void zs_capture_destroy(struct zs_capture *capture);
 
-/****************************************/
-/*  Scenes in arrays, files and bytes.  */
-/****************************************/
+/*************/
+/*  Scenes.  */
+/*************/
 
 // World of a scene.
 ZS_ENUM(zs_world) {
@@ -529,8 +522,8 @@ zs_status zs_scene_from_memory(const void *data,
                                const struct zs_scene_open_options *options,
                                struct zs_scene **scene);
 
-// Writes a scene in the format of the extension: .ply, .spz, .sog, .splat, .gltf or .glb. An
-// opened file's world is kept.
+// Writes a scene in the format of the extension: .ply, .spz, .sog, .splat, .gltf or .glb. Keeps an
+// opened file's world.
 zs_status zs_scene_save(const struct zs_scene *scene, const char *path, const struct zs_scene_save_options *options);
 
 // Encodes a scene as "ply", "spz", "sog", "splat", "gltf" or "glb".
@@ -548,9 +541,9 @@ void zs_blob_destroy(struct zs_blob *bytes);
 // Destroys a scene.
 void zs_scene_destroy(struct zs_scene *scene);
 
-/**********************/
-/*  Edits of scenes.  */
-/**********************/
+/************/
+/*  Edits.  */
+/************/
 
 // Kind of an edit, with its numbers. Lengths are in world units.
 ZS_ENUM(zs_edit_kind) {
@@ -572,10 +565,9 @@ ZS_ENUM(zs_edit_kind) {
     ZS_EDIT_MAX_SIZE = 7,
     // Drops isolated Gaussians: least number of others, radius.
     ZS_EDIT_MIN_NEIGHBORS = 8,
-    // Drops Gaussians whose center few cameras' pictures contain: least number of cameras.
+    // Drops Gaussians whose centers are in few cameras' pictures: least number of cameras.
     ZS_EDIT_MIN_VIEWS = 9,
-    // Drops floaters: faint or isolated Gaussians, with cameras also those far outside their
-    // pictures.
+    // Drops floaters: faint or isolated Gaussians; with cameras, also those far outside pictures.
     ZS_EDIT_CLEAN = 10,
     // Lowers the degree of spherical harmonics: degree.
     ZS_EDIT_SH_DEGREE = 11,
@@ -594,12 +586,11 @@ typedef struct zs_edit {
     double numbers[6];
 } zs_edit;
 
-// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in
-// order. `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN;
-// edits that move the scene move them, too. `gaussian_counts` is NULL or gets the number of
-// Gaussians after each edit. `sources` is NULL or gets, for each Gaussian of the result, the
-// index of the one that it was among those of `scenes` together; of several merged, the most
-// visible. It needs room for all of them. Edits that leave none fail.
+// Merges `scenes`, one or more in one world, all antialiased or none, and applies `edits` in order.
+// `cameras`, in that world, are for ZS_EDIT_LEVEL, ZS_EDIT_MIN_VIEWS and ZS_EDIT_CLEAN; edits that
+// move the scene move them, too. `gaussian_counts`, unless NULL, gets the number of Gaussians after
+// each edit. `sources`, unless NULL, gets each resulting Gaussian's index among those of all
+// `scenes`; of several merged, the most visible. It needs room for all. Edits that leave none fail.
 zs_status zs_scene_edit(const struct zs_scene *const *scenes,
                         size_t scene_count,
                         const struct zs_edit *edits,
@@ -617,8 +608,7 @@ zs_status zs_scene_edit(const struct zs_scene *const *scenes,
 // Number formats of the network. Geometry is f32. Unsupported precisions and those that fail the
 // self-test are rejected.
 ZS_ENUM(zs_precision) {
-    // ZS_PRECISION_FP16 on a GPU with matrix units that pass the self-test, else
-    // ZS_PRECISION_FP32.
+    // ZS_PRECISION_FP16 if the GPU's matrix units pass the self-test, else ZS_PRECISION_FP32.
     ZS_PRECISION_AUTO = 0,
     // f32 throughout.
     ZS_PRECISION_FP32 = 1,
@@ -666,8 +656,8 @@ typedef struct zs_model_info {
     zs_precision precision;
     // Device memory of the weights.
     uint64_t weight_bytes;
-    // Unusable GPUs, kernels that failed their self-test, assumptions about the weights. Failed
-    // kernels can reduce ZS_PRECISION_AUTO to ZS_PRECISION_FP32.
+    // Unusable GPUs, kernels that failed their self-test (which can reduce ZS_PRECISION_AUTO to
+    // ZS_PRECISION_FP32), assumptions about the weights.
     const char *warnings;
 } zs_model_info;
 
@@ -731,8 +721,8 @@ typedef struct zs_camera_estimate {
 zs_status zs_reconstruction_get_info(const struct zs_reconstruction *reconstruction,
                                      struct zs_reconstruction_info *info);
 
-// Returns the patch tokens of the backbone's last layer, a cell per patch, for photo `index`: for
-// its center crop with the aspect ratio of the network's input. They belong to the reconstruction.
+// Returns the patch tokens of the backbone's last layer, a cell per patch, for photo `index`'s
+// center crop with the aspect ratio of the network's input.
 zs_status zs_reconstruction_get_patch_tokens(const struct zs_reconstruction *reconstruction,
                                              size_t index,
                                              struct zs_pixel_values *tokens);
@@ -804,12 +794,12 @@ typedef struct zs_reconstruct_options {
     void *user_data;
     // Capture whose points and cameras give ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     const struct zs_capture *capture;
-    // Whether to keep the backbone's features on the device, for zs_reconstruct_again and
-    // zs_reconstruction_get_patch_tokens: 0 or 1.
+    // 1 keeps the backbone's features on the device, for zs_reconstruct_again and
+    // zs_reconstruction_get_patch_tokens.
     uint32_t keep_features;
-    // Most photos of a pass, 1 to ZS_MAX_VIEWS; 0 is as many as the device's memory holds. More
-    // are split into overlapping blocks, by the cameras' positions or by order, and joined in one
-    // world. Neither features nor tokens are kept of several blocks.
+    // Most photos of a pass, 1 to ZS_MAX_VIEWS; 0 is as many as device memory holds. More are split
+    // into overlapping blocks, by camera position or order, and joined in one world. Several blocks
+    // keep neither features nor tokens.
     uint32_t block_size;
     // Photos that neighboring blocks share; 0 is a quarter of the block.
     uint32_t block_overlap;
@@ -824,16 +814,16 @@ zs_status zs_reconstruct(const struct zs_model *model,
                          struct zs_reconstruction **reconstruction);
 
 // Reconstructs a scene from the features of another reconstruction of the model, without another
-// pass of the backbone, with the bits of zs_reconstruct. Of `options` only `ratio`,
-// `token_selection`, `seed` and `progress` count.
+// backbone pass, bitwise as zs_reconstruct. Of `options` only `ratio`, `token_selection`, `seed`
+// and `progress` count.
 zs_status zs_reconstruct_again(const struct zs_model *model,
                                const struct zs_reconstruction *reconstruction,
                                const struct zs_reconstruct_options *options,
                                struct zs_reconstruction **again);
 
-/**********************************/
-/*  Depth and cameras of photos.  */
-/**********************************/
+/************/
+/*  Depth.  */
+/************/
 
 // Source of estimated cameras.
 ZS_ENUM(zs_camera_source) {
@@ -972,9 +962,9 @@ zs_status zs_depth_result_to_scene(const struct zs_depth_result *depths,
 // Destroys a depth result.
 void zs_depth_result_destroy(struct zs_depth_result *depths);
 
-/********************************************/
-/*  Refinement of a scene to match photos.  */
-/********************************************/
+/*****************/
+/*  Refinement.  */
+/*****************/
 
 // Holds out no photo.
 #define ZS_HOLDOUT_VIEWS_NONE -1
@@ -997,8 +987,7 @@ ZS_ENUM(zs_exposure_mode) {
     ZS_EXPOSURE_ON = 2,
 };
 
-// Opacity compensation for screen-space blur (Mip-Splatting): fades Gaussians thinner than a
-// pixel.
+// Opacity compensation for blur (Mip-Splatting): fades Gaussians thinner than a pixel.
 ZS_ENUM(zs_antialiasing) {
     // As zs_gaussians.antialiased.
     ZS_ANTIALIASING_AUTO = 0,
@@ -1050,7 +1039,7 @@ typedef struct zs_refine_options {
     uint32_t optimize_cameras;
     // Weight of LPIPS (VGG) in the loss; 0 needs no LPIPS weights.
     float perceptual_weight;
-    // Whether to learn a color transform per photo. The scene has their mean.
+    // Learned color transforms per photo. The scene has their mean.
     zs_exposure_mode exposure;
     // Seed of the photo order and of growth.
     uint64_t seed;
@@ -1072,8 +1061,7 @@ typedef struct zs_refine_options {
     // Initial weight of depth, which falls to a hundredth; 0 is the default of the kind.
     float depth_weight;
     uint32_t reserved;
-    // File of the state, written each minute and when stopped, or NULL. The same call continues
-    // from it.
+    // File of the state, written each minute and when stopped, or NULL. The same call resumes it.
     const char *checkpoint;
 } zs_refine_options;
 
@@ -1108,8 +1096,7 @@ typedef struct zs_refine_result {
 } zs_refine_result;
 
 // Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-// scene's world. An early stop or a diverging loss still returns the best scene. `result` may be
-// NULL.
+// scene's world. An early stop or divergence still returns the best scene. `result` may be NULL.
 zs_status zs_refine_scene(const struct zs_device *device,
                           const struct zs_scene *scene,
                           const struct zs_image *images,
@@ -1128,9 +1115,9 @@ zs_status zs_refine_reconstruction(const struct zs_reconstruction *reconstructio
                                    struct zs_refine_result *result,
                                    struct zs_scene **refined);
 
-/*************************************************************/
-/*  Renderers: draw a scene from a device into host memory.  */
-/*************************************************************/
+/****************/
+/*  Renderers.  */
+/****************/
 
 // Depth along the camera's z axis, in world units.
 ZS_ENUM(zs_depth_mode) {
@@ -1171,8 +1158,7 @@ typedef struct zs_render_options {
     zs_antialiasing antialiasing;
     // Background as red, green, blue.
     float background[3];
-    // Culls Gaussians at smaller camera depth. 0 is 0.01, or less for scenes with an extent below
-    // 0.1.
+    // Culls Gaussians at smaller camera depth. 0 is 0.01, or less for scene extents below 0.1.
     float near_plane;
 } zs_render_options;
 
@@ -1203,9 +1189,9 @@ zs_status zs_render(const struct zs_renderer *renderer,
                     size_t count,
                     const struct zs_render_options *options);
 
-/******************************************************************/
-/*  Gradients of pictures with respect to Gaussians and cameras.  */
-/******************************************************************/
+/****************************/
+/*  Gradients of pictures.  */
+/****************************/
 
 // Gradients of a loss with respect to one camera's outputs, in contiguous rows. NULL is 0.
 typedef struct zs_grad_outputs {
@@ -1285,9 +1271,9 @@ zs_status zs_render_features(const struct zs_renderer *renderer,
                              size_t count,
                              float *pictures);
 
-/*********************************************************/
-/*  The caller's own Vulkan device, images and buffers.  */
-/*********************************************************/
+/*************************************/
+/*  The caller's own Vulkan device.  */
+/*************************************/
 
 // Kind of a zs_vulkan_requirement.
 ZS_ENUM(zs_requirement_kind) {
