@@ -59,10 +59,8 @@ impl Tolerance {
     /// f64 references against truth stored in f32, where an element may be a dozen times the rms.
     pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
 
-    /// Returns the tolerance of taps with rounded factors and f16 weights.
-    ///
-    /// A block passes about four roundings in a row, at random sqrt(4) = 2 of them; the maximum
-    /// over millions of elements is 8 times that.
+    /// Taps with rounded factors and f16 weights. A block passes about four roundings in a row, at
+    /// random sqrt(4) = 2 of them; the maximum over millions of elements is 8 times that.
     pub fn tap_in(arithmetic: Arithmetic) -> Tolerance {
         let u = Self::factor_rounding(arithmetic);
         Tolerance { max: 16.0 * u, rms: 2.0 * u }
@@ -74,7 +72,7 @@ impl Tolerance {
         Tolerance { max: (200.0 * u).min(2.0), rms: 4.0 * u }
     }
 
-    /// Returns the f32 tolerance of a key such as `bb/block3` or `r0.5/ca1_delta`.
+    /// f32 tolerance of a key such as `bb/block3` or `r0.5/ca1_delta`.
     pub fn of_tap(key: &str) -> Tolerance {
         let tap = match key.split_once('/') {
             Some((prefix, tap)) if prefix.starts_with('r') && prefix.ends_with(|c: char| c.is_ascii_digit()) => tap,
@@ -83,7 +81,7 @@ impl Tolerance {
         Tolerance::of_field(&tap.replace(|c: char| c.is_ascii_digit(), ""))
     }
 
-    /// Returns the f32 tolerance of an activated field.
+    /// f32 tolerance of an activated field.
     pub fn of_field(field: &str) -> Tolerance {
         let entry = F32.iter().find(|(name, _)| *name == field);
         entry.unwrap_or_else(|| panic!("no tolerance for {field:?}")).1
@@ -95,8 +93,7 @@ impl Tolerance {
     /// One exp of |x| <= 20: Vulkan allows 3 + 2 |x| ulp.
     pub const EXPONENTIAL: Tolerance = Tolerance { max: 1e-5, rms: 1e-5 };
 
-    /// Returns the tolerance of a mean of f32 `terms` of one sign: a rounding per doubling, 2.5 ulp
-    /// for the division.
+    /// A mean of f32 `terms` of one sign: a rounding per doubling, 2.5 ulp for the division.
     pub fn mean_of(terms: usize) -> Tolerance {
         let max = F32_ROUNDING * (5.0 + (terms.max(1) as f64).log2());
         Tolerance { max, rms: max / 2.0 }
@@ -112,15 +109,14 @@ impl Tolerance {
         Tolerance { max: self.max * factor, rms: self.rms * factor }
     }
 
-    /// Returns the tolerance of sums of comparable f32 products: sqrt(terms) roundings, times 8 for
-    /// the tail over millions of elements.
+    /// Sums of comparable f32 products: sqrt(terms) roundings, times 8 for the tail over millions
+    /// of elements.
     pub fn sum_of(terms: usize) -> Tolerance {
         let walk = F32_ROUNDING * (terms.max(4) as f64).sqrt();
         Tolerance { max: 8.0 * walk, rms: 2.0 * walk }
     }
 
-    /// Returns the tolerance of sums of matrix units in `steps`: truncation drifts by a third of an
-    /// ulp per step.
+    /// Sums of matrix units in `steps`: truncation drifts by a third of an ulp per step.
     pub fn sum_cut_off(steps: usize) -> Tolerance {
         let drift = F32_ROUNDING * 2.0 / 3.0 * steps as f64;
         Tolerance { max: 4.0 * drift, rms: drift }
@@ -133,8 +129,7 @@ impl Tolerance {
         if element == Element::F32 { self } else { self.and(Tolerance { max: 8.0 * u, rms: u }) }
     }
 
-    /// Returns the tolerance of sums of rounded factors: each term moves by up to 2 unit roundoffs
-    /// at random.
+    /// Sums of rounded factors: each term moves by up to 2 unit roundoffs at random.
     pub fn sum_of_rounded(element: Element, terms: usize) -> Tolerance {
         let u = element.roundoff();
         Tolerance::sum_of(terms).and(Tolerance { max: 8.0 * u, rms: 2.0 * u })

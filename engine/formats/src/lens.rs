@@ -138,7 +138,7 @@ impl Lens {
         Ok(turns.into_iter().map(|rotation| LensView { intrinsics, rotation }).collect())
     }
 
-    /// Returns the pinhole camera of the shown view.
+    /// Returns the pinhole intrinsics of the shown view.
     ///
     /// # Errors
     /// As [`Lens::views`].

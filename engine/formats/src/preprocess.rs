@@ -77,10 +77,7 @@ impl PixelMap {
         })
     }
 
-    /// Maps a camera of the photo, in any resolution, to the result.
-    ///
-    /// # Errors
-    /// Those of [`Camera::validate`] and [`PixelMap::apply`] with `label`.
+    /// Maps a camera of the photo, in any resolution, to the result, as [`PixelMap::apply`].
     pub fn camera(&self, camera: &Camera, label: &str) -> Result<Camera> {
         camera.validate(label)?;
         Ok(Camera { intrinsics: self.apply(&camera.intrinsics, label)?, ..*camera })

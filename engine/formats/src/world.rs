@@ -8,7 +8,7 @@ use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion
 use super::poses::CaptureView;
 use super::trajectory::mean_up;
 
-/// Prefix of metadata: a comment in PLY and SPZ, an extra in glTF.
+/// Prefix of metadata: a comment in PLY and SPZ, the generator in SOG, an extra in glTF.
 pub(super) const MADE_BY: &str = "zipsplat";
 const PHOTO: &str = "origin: ";
 const CAMERAS: &str = "world: cameras, first ";

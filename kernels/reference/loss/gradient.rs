@@ -52,8 +52,7 @@ pub fn l1_dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     (mixed(l1.0, dssim.0), l1.1.iter().zip(&dssim.1).map(|(a, b)| mixed(*a, *b)).collect())
 }
 
-/// Computes a loss of `a` with masked pixels, those of 0 in `mask`, replaced by those of `b`. They
-/// have no difference and no gradient.
+/// Computes a loss of `a` with masked pixels (0 in `mask`) replaced by `b`'s, without gradient.
 pub fn masked(loss: impl Fn(&[f64], &[f64]) -> (f64, Vec<f64>), a: &[f64], b: &[f64], mask: &[u8]) -> (f64, Vec<f64>) {
     let pick =
         |a: &[f64], b: &[f64]| (0..a.len()).map(|i| if mask[i / 3] == 0 { b[i] } else { a[i] }).collect::<Vec<_>>();

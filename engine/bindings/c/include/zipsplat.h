@@ -247,7 +247,7 @@ void zs_device_destroy(struct zs_device *device);
 /*  Cameras.  */
 /**************/
 
-// A pinhole camera with OpenCV axes. Lengths are in pixels, with centers at +0.5.
+// A pinhole camera with OpenCV axes. Intrinsics are in pixels, with centers at +0.5.
 typedef struct zs_camera {
     uint32_t struct_size;
     uint32_t reserved;

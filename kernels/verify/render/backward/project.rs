@@ -95,8 +95,8 @@ impl Problem {
         splats.into_iter().map(conic).collect()
     }
 
-    /// Bounds kernels/render/project_backward.comp, formula by formula: its rounding depends on
-    /// intermediate values, which the truth, made of differences, does not have.
+    /// Bounds render/project_backward.comp, formula by formula: its rounding depends on
+    /// intermediate values, which the truth by differences lacks.
     fn gradient(&self, n: usize, conic: [f64; 3], fault: Option<Fault>) -> Found {
         let is = |other: Fault| fault == Some(other);
         let zero = Bounded::exact(0.0);
