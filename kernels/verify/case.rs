@@ -111,7 +111,6 @@ impl<F: Copy> Catches<F> {
 
 #[derive(Clone, Debug)]
 pub struct Injected {
-    /// Name, such as `last term`.
     pub fault: String,
     /// Least error over bound among the fault's outputs.
     pub share: f64,

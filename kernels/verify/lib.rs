@@ -212,7 +212,6 @@ impl Serialize for Mode {
     }
 }
 
-/// Cases of one kernel.
 pub struct Area {
     pub kernel: &'static str,
     /// Unit of sizes.
@@ -223,7 +222,6 @@ pub struct Area {
     pub cases: Vec<Case>,
 }
 
-/// Result of one case and mode.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
     pub kernel: &'static str,

@@ -51,7 +51,6 @@ fn self_attention(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
     weights.linear("proj", &mixed)
 }
 
-/// Returns LayerNorm `name` of a head, if present.
 pub fn head_norm<'a>(weights: &Scope<'a>, name: &str) -> Option<(&'a [f32], &'a [f32], f64)> {
     let parameter = |kind| format!("{name}.{kind}");
     weights.has(&parameter("weight")).then(|| (weights.get(&parameter("weight")), weights.get(&parameter("bias")), EPS))

@@ -1,5 +1,3 @@
-//! Position embedding on another grid.
-
 /// Resamples `embed [1 + side * side, width]`, class row first, to `[1 + rows * columns, width]`.
 /// Bicubic (Keys 1981, A = -0.75), clamped, without antialiasing, scale `(patches + 0.1) / side`.
 /// An equal grid is copied.
@@ -49,7 +47,6 @@ fn antialiased_taps(outputs: usize, inputs: usize) -> Taps {
     (0..outputs).map(tap).collect()
 }
 
-/// Four inputs and weights per output.
 fn taps(outputs: usize, inputs: usize) -> Taps {
     let scale = (outputs as f64 + 0.1) / inputs as f64;
     let tap = |output: usize| {

@@ -6,7 +6,6 @@ use crate::ops::gather_rows::gather_rows;
 
 const ITERATIONS: usize = 5;
 
-/// Clusters of N tokens.
 pub struct Clusters {
     /// `[K, width]`, zero for empty clusters.
     pub centroids: Vec<f64>,

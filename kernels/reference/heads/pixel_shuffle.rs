@@ -1,5 +1,3 @@
-//! Transposed convolutions without kernel overlap.
-
 /// Reshapes `[height, width, side * side, channels]` to `[height * side, width * side, channels]`
 /// and adds `bias`.
 pub fn pixel_shuffle(values: &[f64], [width, side]: [usize; 2], bias: &[f32]) -> Vec<f64> {

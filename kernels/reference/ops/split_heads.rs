@@ -2,7 +2,6 @@ use super::layer_norm::layer_norm;
 use super::place_columns::columns;
 use crate::backbone::rope::rope;
 
-/// A part of a projection.
 #[derive(Clone, Copy)]
 pub struct Part<'a> {
     /// First column.

@@ -78,7 +78,6 @@ pub struct Splat {
     pub color: [f64; 3],
 }
 
-/// Projects every Gaussian, `None` if culled.
 pub fn project(gaussians: &Gaussians, camera: &Camera, antialiased: bool) -> Vec<Option<Splat>> {
     (0..gaussians.means.len()).map(|i| project_one(gaussians, i, camera, antialiased)).collect()
 }

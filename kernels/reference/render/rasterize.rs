@@ -9,7 +9,6 @@ pub const MAX_ALPHA: f64 = 0.999;
 /// A pixel stops before this transmittance.
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
-/// Thresholds of blending.
 #[derive(Clone, Copy, Debug)]
 pub struct Rules {
     /// Least alpha of a splat.
@@ -39,7 +38,6 @@ pub struct Rendering {
     pub unstable: Vec<u8>,
 }
 
-/// Renders `gaussians`; `antialiased` compensates opacity for blur.
 pub fn render(gaussians: &Gaussians, camera: &Camera, antialiased: bool, background: [f64; 3]) -> Rendering {
     rasterize(&project(gaussians, camera, antialiased), camera.size, background)
 }
@@ -73,7 +71,6 @@ pub struct Pixel {
     pub depth: f64,
     /// Share of the background.
     pub transmittance: f64,
-    /// Whether f32 rounding may decide a threshold.
     pub unstable: bool,
 }
 
