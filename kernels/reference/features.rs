@@ -1,5 +1,3 @@
-//! Features, from the blending weights of splats at pixels.
-
 use crate::render::backward::{Ellipse, through_pixel};
 
 /// Returns the weight of each splat, nearest first, at a pixel's center.

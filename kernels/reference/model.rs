@@ -91,7 +91,6 @@ impl Model {
     }
 }
 
-/// Parameters of one module.
 #[derive(Clone)]
 pub struct Scope<'a> {
     weights: &'a Weights,
@@ -104,7 +103,6 @@ impl<'a> Scope<'a> {
         Self { weights, prefix: prefix.to_owned() }
     }
 
-    /// Returns parameters of a submodule.
     pub fn scope(&self, name: &str) -> Scope<'a> {
         Scope::of(self.weights, &format!("{}.{name}", self.prefix))
     }

@@ -13,7 +13,6 @@ use super::ops::place_columns::join_columns;
 use super::ops::split_heads::Pool;
 use super::widen;
 
-/// Sizes that parameter shapes do not determine.
 #[derive(Clone, Debug)]
 pub struct Sizes {
     pub patch: usize,

@@ -117,13 +117,11 @@ pub struct Injected {
 }
 
 impl Injected {
-    /// Returns true if the error exceeds any rounding.
     pub fn is_caught(&self) -> bool {
         self.share > CAUGHT
     }
 }
 
-/// One hard input.
 pub struct Case {
     pub name: String,
     pub size: usize,

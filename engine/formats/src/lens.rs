@@ -193,8 +193,8 @@ impl Lens {
         Ok(Image { width, height, rgb, mask })
     }
 
-    /// Returns the place in a photo of this size of each row and column of the shown view's
-    /// picture: NaN outside a cut photo.
+    /// Maps rows and columns of the shown view's picture to a photo of this size; NaN outside a cut
+    /// photo.
     ///
     /// # Errors
     /// As [`Lens::views`].

@@ -19,7 +19,7 @@ const KEPT: u8 = 255;
 pub struct Masks {
     /// Pixel values; 0 ignores a pixel.
     pub source: MaskSource,
-    /// Whether 0 keeps a pixel, and other values ignore it.
+    /// Whether 0 keeps a pixel instead.
     pub inverted: bool,
 }
 
@@ -59,7 +59,7 @@ impl Masks {
     /// Checks that each photo has a mask of its own, of its size.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the names of a photo and its mask; an unreadable file.
+    /// [`Error::Argument`] with the names of a photo and its mask.
     pub fn check(&self, photos: &[impl AsRef<Path>]) -> Result<()> {
         let mut photo_of: HashMap<PathBuf, &Path> = HashMap::new();
         for photo in photos.iter().map(AsRef::as_ref) {
@@ -153,7 +153,7 @@ impl Image {
         hidden.for_each(|(pixel, _)| pixel.fill(value));
     }
 
-    /// Returns the image with gray masked pixels, whose content then has no influence.
+    /// Returns the image with gray masked pixels.
     pub fn hidden(&self) -> Cow<'_, Self> {
         if self.mask.is_none() {
             return Cow::Borrowed(self);

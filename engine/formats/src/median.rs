@@ -1,4 +1,4 @@
-/// Returns the median, of an even number of values the upper one; `None` without values.
+/// Returns the upper median, or `None` without values.
 pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     let middle = values.len() / 2;

@@ -23,8 +23,8 @@ const SEPARATOR: char = '\t';
 pub struct World {
     /// The coordinate frame.
     pub origin: Origin,
-    /// Names and camera centers of the first photo and the one farthest from it. They tell whether
-    /// other cameras share that world.
+    /// Names and camera centers of the first photo and the farthest one. They tell whether other
+    /// cameras share the world.
     pub landmarks: Vec<(String, DVec3)>,
     /// Size and field of view of the first photo.
     pub lens: Option<Intrinsics>,

@@ -1,5 +1,3 @@
-//! Skip path around the merge of feature halves.
-
 /// Averages the halves of `[rows, 2 width]`.
 pub fn average_halves(joined: &[f64], width: usize) -> Vec<f64> {
     let rows = joined.chunks(2 * width).map(|row| row.split_at(width));

@@ -1,5 +1,3 @@
-//! Pre-norm transformer block.
-
 use crate::model::Scope;
 use crate::ops::activation::{gelu, swiglu};
 use crate::ops::add::add;
@@ -56,7 +54,6 @@ pub fn head_norm<'a>(weights: &Scope<'a>, name: &str) -> Option<(&'a [f32], &'a 
     weights.has(&parameter("weight")).then(|| (weights.get(&parameter("weight")), weights.get(&parameter("bias")), EPS))
 }
 
-/// Applies a GELU or SwiGLU MLP.
 pub fn mlp(weights: &Scope, x: &[f64]) -> Vec<f64> {
     if weights.has("w12.weight") {
         let gate_value = weights.linear("w12", x);

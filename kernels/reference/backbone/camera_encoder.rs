@@ -9,7 +9,6 @@ pub struct Prior {
     pub pose: [f64; 12],
 }
 
-/// Encodes cameras to one token per view.
 pub fn camera_tokens(weights: &Scope, priors: &[Prior], blocks: usize, heads: usize) -> Vec<f64> {
     let options = Options { heads, eps: EPS, sequences: 1, positions: None, pool: None };
     let encoded: Vec<f64> = priors.iter().flat_map(encode).collect();

@@ -8,7 +8,6 @@ use super::sh;
 const EPS_2D: f64 = 0.3;
 const NEAR: f64 = 0.01;
 const FAR: f64 = 1e10;
-/// Least visible alpha.
 pub const MIN_ALPHA: f64 = 1.0 / 255.0;
 /// Tile side in pixels.
 const TILE: f64 = 16.0;
@@ -57,7 +56,6 @@ impl Camera {
     }
 }
 
-/// A projected Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Splat {
     /// Center in pixels.

@@ -4,14 +4,12 @@ use rayon::prelude::*;
 
 use super::project::{Camera, Gaussians, MIN_ALPHA, Splat, project};
 
-/// Largest alpha of a splat.
 pub const MAX_ALPHA: f64 = 0.999;
 /// A pixel stops before this transmittance.
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
 #[derive(Clone, Copy, Debug)]
 pub struct Rules {
-    /// Least alpha of a splat.
     pub min_alpha: f64,
     pub max_alpha: f64,
     pub min_transmittance: f64,

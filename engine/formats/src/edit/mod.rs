@@ -62,7 +62,7 @@ pub struct EditReport {
 pub struct Edited {
     /// The scene.
     pub scene: Scene,
-    /// The Gaussian before the edits that each one was: of several merged, the most visible.
+    /// Index of each Gaussian before the edits; of several merged, the most visible.
     pub sources: Vec<usize>,
     /// Effects of the edits, in order.
     pub reports: Vec<EditReport>,

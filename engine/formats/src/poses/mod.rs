@@ -22,8 +22,8 @@ pub use colmap::{colmap_files, write_colmap};
 pub use scene_scale::{SceneScale, Source};
 pub use transforms::{write_frames, write_frames_with, write_transforms};
 
-/// Photos with cameras. Photos of lenses wider than [`MAX_VIEW_DEG`] have a frame for each of
-/// their [`Lens::views`], one after another and of one name.
+/// Photos with cameras. Photos of lenses wider than [`MAX_VIEW_DEG`] have a frame for each of their
+/// [`Lens::views`], adjacent and of one name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Capture {
     /// In file order, or by name if the file has none.
@@ -75,7 +75,7 @@ impl CaptureView {
         Ok(views.iter().enumerate().filter(|(i, _)| view.is_none_or(|view| view == *i)).map(frame).collect())
     }
 
-    /// Returns whether this is a view of a photo after the first.
+    /// Returns whether this is a later view of a photo.
     pub fn is_later_view(&self) -> bool {
         self.lens.is_some_and(|lens| lens.view > 0)
     }
