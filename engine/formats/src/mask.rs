@@ -19,7 +19,7 @@ const KEPT: u8 = 255;
 pub struct Masks {
     /// Pixel values; 0 ignores a pixel.
     pub source: MaskSource,
-    /// Whether 0 keeps a pixel instead.
+    /// Whether 0 keeps a pixel, and other values ignore it.
     pub inverted: bool,
 }
 

@@ -126,7 +126,7 @@ fn thirds(word: u32) -> [f32; 3] {
     [fraction(word >> 21, 11), fraction(word >> 11, 10), fraction(word, 11)]
 }
 
-/// Unpacks a rotation wxyz whose largest component is positive.
+/// Unpacks a rotation wxyz: 2 bits for the index of the positive largest component, then the rest.
 fn quat(word: u32) -> [f32; 4] {
     let largest = (word >> 30) as usize;
     let mut others = [20, 10, 0].map(|shift| (fraction(word >> shift, 10) - 0.5) * SQRT_2).into_iter();
