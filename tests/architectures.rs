@@ -39,7 +39,7 @@ pub fn depth_micro_alone() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro-alone", [64, 4, 4], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }
 
-/// On VGGT with two feature pairs of three.
+/// Returns a small network on VGGT with two feature pairs of three.
 pub fn vggt_micro() -> Architecture {
     let like = Architecture::vggt("vggt-micro", 64, [2, 3], &[1, 2]);
     Architecture { position_grid: 5, gaussians_per_token: 4, ..like }

@@ -1,4 +1,4 @@
-//! Some tests kill the process, others need it alone.
+//! Tests in child processes: some kill the process, others need it alone.
 
 use std::{
     path::{Path, PathBuf},

@@ -80,7 +80,7 @@ impl World {
         let size = random.mostly(micro().len(), &[0, 1, 8, 100, micro().len() / 2, micro().len() - 1]);
         let mut bytes = micro()[..size].to_vec();
         for _ in 0..random.mostly(0, &[1, 10]) {
-            // Mostly JSON.
+            // The header is mostly JSON.
             let at = random.below(bytes.len().clamp(1, 4000));
             if let Some(byte) = bytes.get_mut(at) {
                 *byte ^= 1 << random.below(8);

@@ -210,7 +210,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     }
     assert_eq!(folder.run("reconstruct @/place/images --world input-cameras -o @/x.ply").code, 2);
 
-    // Another reconstruction's world, by name alone: aligned, and said so.
+    // The same photos in another reconstruction's world, by name alone: aligned, and said so.
     write_transforms(folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
         .expect("cameras");
     for scene in ["first", "own"] {

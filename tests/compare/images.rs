@@ -32,7 +32,8 @@ impl ImageTolerance {
     /// f64 against truth stored in f32.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
 
-    /// For a faster arithmetic. Gaussians of similar depth may swap: single pixels are unbounded.
+    /// Returns the tolerance of a faster arithmetic. Gaussians of similar depth may swap: single
+    /// pixels are unbounded.
     pub fn of_network(arithmetic: Arithmetic) -> Self {
         let coarser = Tolerance::factor_rounding(arithmetic) / Element::F16.roundoff();
         Self { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 - 20.0 * coarser.log10() }

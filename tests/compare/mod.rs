@@ -15,9 +15,9 @@ impl<T: Copy + Into<f64>> Float for T {}
 
 #[derive(Clone, Copy, Debug)]
 pub struct Deviation {
-    /// Of |got - truth|.
+    /// Maximum of |got - truth| over the rms of the truth.
     pub max: f64,
-    /// Of got - truth.
+    /// Rms of got - truth over the rms of the truth.
     pub rms: f64,
     pub worst: (usize, f64, f64),
     /// Rms of the truth, or 1 for zeros.

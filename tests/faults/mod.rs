@@ -74,7 +74,7 @@ impl Faults {
         text.split(' ').nth(1).and_then(|calls| calls.parse().ok()).expect("what the layer wrote")
     }
 
-    /// At most `count` calls, with the first and the last.
+    /// Returns up to `count` of these calls, with the first and the last.
     pub fn calls(&self, count: u32) -> Vec<u32> {
         let last = self.made();
         assert!(last > 0, "never called");

@@ -1,4 +1,4 @@
-//! Against goldens, brute force, and itself.
+//! The renderer against goldens, brute force, and itself.
 
 use std::num::NonZeroU32;
 use zipsplat::stages::render::{CameraRows, FrameShape, camera_rows, record};

@@ -15,7 +15,8 @@ pub fn elements() -> Vec<Element> {
     [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
-/// With weights in the factors' type, on lanes by rule and with the first tile in shared memory.
+/// Linear kernels with weights in the factors' type, on lanes both by rule and with the first tile
+/// in shared memory.
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let lanes = |element| [Lanes::of(element), Lanes { element, tiles: Tiles::always(1) }];
     let panels = elements().into_iter().flat_map(lanes).map(|lanes| LinearKernel::Panels(lanes, Weights::Factors));
@@ -24,13 +25,13 @@ pub fn linear_kernels() -> Vec<LinearKernel> {
     panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).chain(dots).collect()
 }
 
-/// Without addresses only for a kernel with a variant that reads by address.
+/// Adds limits without addresses for a kernel with a variant that reads by address.
 pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits> {
     let bound = (has_twin && limits.addresses).then(|| Limits { addresses: false, ..limits.clone() });
     [limits.clone()].into_iter().chain(bound).collect()
 }
 
-/// With their variant for 8-bit weights.
+/// Linear kernels that have a variant for 8-bit weights, with the variant.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
 }

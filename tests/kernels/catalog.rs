@@ -1,4 +1,4 @@
-//! By family of kernels, with injected faults.
+//! The catalog of cases, by family of kernels, and its injected faults.
 
 use std::collections::BTreeSet;
 use zipsplat_tests::catalog::examine;

@@ -164,7 +164,7 @@ fn reconstructs_and_renders_again_and_again() {
 /// Of lavapipe: subgroups of 4, 8 and 16 lanes.
 const VECTORS: [u32; 3] = [128, 256, 512];
 
-/// Within the tolerance of a common truth: sums are reordered.
+/// Sums are reordered: each is within the tolerance of their common truth.
 #[test]
 fn every_subgroup_size_gives_the_same_scene() {
     if !device().limits().cpu {

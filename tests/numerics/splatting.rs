@@ -1,4 +1,4 @@
-//! Too slow for `zipsplat doctor`.
+//! Cases too slow for `zipsplat doctor`.
 
 use crate::below;
 use zipsplat_tests::prelude::*;

@@ -4,7 +4,7 @@ use zipsplat_tests::prelude::*;
 
 /// Away from silhouettes: sphere tracing stops at 1e-4 of a tube's radius.
 const RELATIVE: f64 = 5e-4;
-/// In pixels: rounding may select the other surface.
+/// Pixels within which rounding may select the other surface.
 const BESIDE: f64 = 0.02;
 
 fn ray(i: &Intrinsics, x: u32, y: u32, shift: (f64, f64)) -> DVec3 {

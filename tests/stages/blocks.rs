@@ -19,7 +19,7 @@ fn photos(count: u32) -> Vec<Image> {
     (0..count).map(photo).collect()
 }
 
-/// On a line, in the order 0, 3, 1, 4, 2, 5 for six.
+/// Cameras on a line, in the order 0, 3, 1, 4, 2, 5 for six.
 fn cameras(count: usize) -> Vec<Camera> {
     let place = |i: usize| (i / 2 + i % 2 * count.div_ceil(2)) as f64;
     let pose = |i: usize| Pose { translation: [0.1 * place(i), 0.0, 0.0].into(), ..Pose::IDENTITY };

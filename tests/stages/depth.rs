@@ -206,7 +206,7 @@ fn hold_gaussians(golden: &Golden, root: &str, scenes: &[Scene], within: Toleran
     check("scales", &|scene| scene.scales.concat());
     check("quats_wxyz", &|scene| scene.quats.concat());
     check("opacities", &|scene| scene.opacities.clone());
-    // By color in the golden.
+    // The golden stores coefficients by color.
     let by_color = |scene: &Scene| {
         let gaussian = |coeffs: &[[f32; 3]]| (0..3).flat_map(|c| coeffs.iter().map(move |k| k[c])).collect::<Vec<_>>();
         scene.sh_coeffs.chunks(9).flat_map(gaussian).collect()

@@ -1,4 +1,4 @@
-//! Against brute force in f64, where every pixel visits every Gaussian.
+//! Features against a brute-force reference in f64, where every pixel visits every Gaussian.
 
 use zipsplat::features::{FeatureRenderer, Features, LiftMemory, Lifted, PixelValues};
 use zipsplat_tests::prelude::*;
@@ -18,7 +18,7 @@ fn cameras() -> Vec<Camera> {
         .collect()
 }
 
-/// At each pixel; `None` if rounding may decide a threshold.
+/// Returns the weights of all Gaussians at each pixel; `None` if rounding may decide a threshold.
 fn weights(scene: &Scene, camera: &Camera) -> Vec<Option<Vec<f64>>> {
     let splats = project(&reference_gaussians(scene), &reference_camera(camera), scene.antialiased);
     let mut order: Vec<(usize, &Splat)> =

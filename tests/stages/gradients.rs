@@ -1,4 +1,4 @@
-//! From pictures to tokens, and descent, against PyTorch.
+//! Gradients from pictures to tokens, and descent, against PyTorch.
 
 use std::sync::Arc;
 use zipsplat::refine::{Adam, Space, record_adam};

@@ -24,7 +24,7 @@ const STEPS: [(&str, &str); 16] = [
     ("render/tile_counts", "render/intersect"),
 ];
 
-/// With their alternative.
+/// Names without a reference, and their alternative.
 const WITHOUT_REFERENCE: [(&str, &str); 2] = [
     ("ops/sort", "the stable sort of the standard library, a running sum"),
     ("render/intersect", "lists made on the host"),
@@ -85,7 +85,7 @@ fn every_exception_is_of_use() {
 
 #[test]
 fn the_table_has_every_kernel_within_its_limits() {
-    // One module per element type.
+    // A kernel has one module per element type.
     let types = ["_f32", "_f16", "_bf16", "_i8"];
     fn kernel<'a>(module: &'a str, types: &[&str]) -> &'a str {
         types.iter().find_map(|name| module.strip_suffix(name)).map_or(module, |rest| kernel(rest, types))

@@ -75,7 +75,7 @@ def gradients_do_not_depend_on_recomputation_or_parts():
     for name, (gradients, other, _) in found.items():
         error = ((gradients - exact).norm() / exact.norm()).item()
         assert error < 1e-5 and abs(other - loss) < 1e-5 * loss, (name, error, other, loss)
-    # Once a part, and once more if recomputed.
+    # A block of a local layer runs once a part, and once more where it is recomputed.
     assert [calls for _, _, calls in found.values()] == [1, 2, 2, 8], [calls for _, _, calls in found.values()]
 
 

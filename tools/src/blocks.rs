@@ -35,7 +35,7 @@ impl BlockArgs {
         BlockLayout::checked(views, self.block_size.unwrap_or(MAX_VIEWS), self.block_overlap, shape).map(drop)
     }
 
-    /// As [`BlockLayout::blocks`]. Also sets the blocks of `request`.
+    /// Chooses the blocks of views as [`BlockLayout::blocks`]. Also sets the blocks of `request`.
     pub fn choose(
         self,
         model: &Model,

@@ -46,7 +46,7 @@ pub struct Posed {
     pub camera: Camera,
 }
 
-/// In dB except SSIM.
+/// Similarity to the prediction and to two baselines, in dB except SSIM.
 #[derive(Clone, Serialize)]
 pub struct Score {
     pub view: String,
@@ -195,7 +195,7 @@ pub fn scale_warning(scale: &SceneScale) -> Option<String> {
 }
 
 impl ViewSplit {
-    /// Makes the median distance of a scene's Gaussians from the first camera the unit.
+    /// Changes the unit to the median distance of a scene's Gaussians from the first camera.
     pub fn rescale_to(&mut self, scene: &Scene, origin: String) -> Result<()> {
         let distances = scene.means.iter().map(|mean| DVec3::from(mean.map(f64::from)).length());
         let length = median(distances).filter(|length| *length > 0.0);

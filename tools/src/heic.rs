@@ -13,13 +13,13 @@ use zipsplat::{
     types::{Image, is_heic_start, open_file},
 };
 
-/// By first bytes; false for unreadable files.
+/// Detects HEIC by first bytes; false for unreadable files.
 pub fn is_heic(path: &Path) -> bool {
     let mut start = [0; 12];
     open_file(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && is_heic_start(&start)
 }
 
-/// Upright and in order: `IMG_1.HEIC` to `IMG_1.jpg`, duplicates to `IMG_1-1.jpg`.
+/// Converts to upright JPEGs in order: `IMG_1.HEIC` to `IMG_1.jpg`, duplicates to `IMG_1-1.jpg`.
 pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], folder: &Path) -> Result<Vec<PathBuf>> {
     let numbered: Vec<(usize, &&PathBuf)> = pictures.iter().enumerate().collect();
     let (photos, _) = session.stage("read HEIC", |stage| {

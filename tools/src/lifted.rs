@@ -82,7 +82,7 @@ impl ValueFiles {
         self.0.iter().map(|(_, camera, _)| *camera).collect()
     }
 
-    /// Without the lens's distortion: the nearest value, or NaN outside.
+    /// Reads the values of a photo, without its lens's distortion: the nearest, or NaN outside.
     pub fn read(&self, i: usize, labels: Option<usize>) -> Result<PixelValues> {
         let (path, _, lens) = &self.0[i];
         let values = read_values(path, labels)?;
@@ -101,7 +101,7 @@ impl ValueFiles {
     }
 }
 
-/// To mean 0 and standard deviation 1. Otherwise few channels decide all cosines.
+/// Gives each channel mean 0 and standard deviation 1. Otherwise few channels decide all cosines.
 fn standardize(views: &mut [PixelValues]) {
     let channels = views.first().map_or(0, |view| view.channels);
     let count = views.iter().map(|view| view.values.len()).sum::<usize>() as f64 / channels.max(1) as f64;

@@ -17,13 +17,14 @@ pub struct MaskArgs {
     /// Ignore the pixels that are not 0, instead
     #[arg(long, requires = "masks")]
     invert_masks: bool,
-    /// Of cut photos.
+    /// Masks of photos that were cut.
     #[arg(skip)]
     cut: OnceLock<Masks>,
 }
 
 impl MaskArgs {
-    /// For photos in this folder. A folder of masks named `alpha` is `./alpha`.
+    /// Returns the masks of photos in this folder, if given. A folder of masks named `alpha` is
+    /// `./alpha`.
     pub fn below(&self, folder: &Path) -> Option<Masks> {
         let source = |masks: &PathBuf| match masks {
             masks if masks == Path::new(ALPHA) => MaskSource::Alpha,

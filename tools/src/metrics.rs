@@ -9,7 +9,7 @@ use zipsplat::{
     types::{Image, MASKED},
 };
 
-/// Of SSIM's window, in pixels.
+/// Standard deviation of SSIM's window, in pixels.
 const SIGMA: f64 = 1.5;
 const RADIUS: usize = 5;
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
@@ -111,7 +111,7 @@ enum Network {
 }
 
 impl LpipsOption {
-    /// `None` if the weights are missing and neither requested nor `required`.
+    /// Finds the weights; `None` if they are missing and neither requested nor `required`.
     pub fn file(&self, cache: Option<&Path>, required: bool) -> Result<Option<(LpipsNetwork, PathBuf)>> {
         let network = match self.lpips {
             Some(Network::None) => return Ok(None),

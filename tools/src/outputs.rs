@@ -14,7 +14,7 @@ use zipsplat::{
     types::{Image, Origin, SaveOptions, Scene, SceneFormat, Unfinished, World, spz_coarsening, write_atomic},
 };
 
-/// Per world unit.
+/// Levels of 16-bit depth per world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
 pub const MADE_BY: &str = "zipsplat";
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
@@ -120,7 +120,7 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
     Ok(())
 }
 
-/// By a temporary file in the folder of `path`.
+/// Creates and removes a temporary file in the folder of `path`.
 fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {
@@ -145,7 +145,7 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Also saves its world for `render`. Returns notes on properties that the format drops.
+/// Writes a scene with its world for `render`. Returns notes on properties that the format drops.
 pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<Vec<String>> {
     scene.save_in(path, options, world)?;
     let (mut notes, file) = (Vec::new(), path.display());

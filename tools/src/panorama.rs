@@ -27,7 +27,7 @@ const EQUIRECTANGULAR: &[u8] = b"equirectangular";
 /// Width of 35 mm film.
 const FILM: f64 = 36.0;
 
-/// By the metadata.
+/// Returns whether the metadata states an equirectangular projection.
 fn states_equirectangular(photo: &Path) -> bool {
     let mut start = Vec::new();
     let read = open_file(photo).is_ok_and(|file| file.take(METADATA).read_to_end(&mut start).is_ok());
@@ -70,7 +70,8 @@ pub fn refuse(photos: &[PathBuf]) -> Result<()> {
     })
 }
 
-/// Also writes the views' masks. Views are named such as `pano-0.jpg` to `pano-7.jpg`.
+/// Writes the pinhole views of 360-degree photos, such as `pano-0.jpg` to `pano-7.jpg`, and of
+/// their masks. Lists the views instead of the photos.
 pub fn cut(
     session: &mut Session<'_>,
     photos: &[PathBuf],

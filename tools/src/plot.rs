@@ -7,7 +7,7 @@ const MARGIN: i32 = 8;
 /// Row height of the legend, and mean width of a letter.
 const ROW: i32 = 20;
 const LETTER: i32 = 7;
-/// For any color vision (Okabe and Ito); their number limits the series.
+/// Colors for any color vision (Okabe and Ito); their number limits the series.
 const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),

@@ -134,7 +134,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
     let (reader, writer) = io::pipe().map_err(failed)?;
     command.stdin(Stdio::null()).stdout(writer.try_clone().map_err(failed)?).stderr(writer);
     let mut running = Running::start(command).map_err(failed)?;
-    // So that the reader sees the end.
+    // Drops our pipe ends, so that the reader sees the end.
     command.stdout(Stdio::null()).stderr(Stdio::null());
     let (send, lines) = channel();
     std::thread::spawn(move || {

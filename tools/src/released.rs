@@ -11,12 +11,12 @@ pub struct Released {
     pub what: &'static str,
     pub license: &'static str,
     pub terms: &'static str,
-    /// Approximate.
+    /// Approximate download size.
     pub bytes: u64,
     pub kind: Kind,
     repository: &'static str,
     file: &'static str,
-    /// In the cache, without the hash.
+    /// File name in the cache, without the hash.
     kept_as: &'static str,
 }
 
@@ -203,12 +203,12 @@ pub fn open_depth(text: &str, heads: DepthHeads) -> Result<DepthCheckpoint> {
     opener(text)?(heads)
 }
 
-/// With the Gaussian head, if there is one.
+/// Opens a depth network with the Gaussian head, if there is one.
 pub fn open_whole_depth(text: &str) -> Result<DepthCheckpoint> {
     DepthCheckpoint::whole(opener(text)?)
 }
 
-/// With all heads.
+/// Opens a depth network with all of its heads.
 pub fn open_complete_depth(text: &str) -> Result<DepthCheckpoint> {
     DepthCheckpoint::with_all(opener(text)?)
 }

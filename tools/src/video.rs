@@ -15,7 +15,7 @@ const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp",
 pub const FRAMES: usize = 24;
 /// Longer side for measuring sharpness: suppresses noise.
 const SIDE: usize = 512;
-/// Otherwise ffmpeg drops and duplicates frames.
+/// Regular timestamps; otherwise ffmpeg drops and duplicates frames.
 const REGULAR: &str = "setpts=N/25/TB";
 /// Excludes cover pictures.
 const PICTURES: [&str; 2] = ["-map", "0:v:0"];

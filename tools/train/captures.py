@@ -14,7 +14,7 @@ EXTENSIONS = ("", ".png", ".jpg", ".jpeg", ".webp", ".JPG", ".PNG")
 # lens: fx, fy, cx, cy relative to the photo's sides. pose: camera to world, x right, y down,
 # z forward. depth: folder and name.
 Frame = namedtuple("Frame", "photo lens pose depth")
-# Of `zipsplat depth`.
+# Depth file of `zipsplat depth`.
 DEPTHS = "depths.safetensors"
 # One scene in this many is for validation, at least one if there are two.
 UNSEEN = 32

@@ -18,7 +18,7 @@ from model import ZipSplat, nearest_tokens
 from vggt import DEVIATION, MEAN, Aggregator
 from weights import Architecture, load, seeded
 
-# Of a tap's maximum error over the truth's RMS, from f32 rounding.
+# Bound on a tap's maximum error over the truth's RMS, from f32 rounding.
 TOLERANCE = 3e-5
 
 # Columns of packed Gaussians.

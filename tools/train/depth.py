@@ -14,7 +14,7 @@ from model import VisionTransformer
 
 EPS = 1e-5
 HIDDEN = 32
-# Of the positional encoding.
+# Amplitude and frequency base of the positional encoding.
 SHARE, BASE = 0.1, 100.0
 
 

@@ -80,7 +80,7 @@ class Overlay {
         page.edit.draw(context);
     }
 
-    // In front of the camera.
+    // Between points, in front of the camera.
     line(context, ...ends) {
         const { camera, scene } = this.page, near = 1.001 * (scene?.near ?? 0.01);
         const depths = ends.map(end => dot(camera.axes[2], add(end, camera.eye, -1)) - near);

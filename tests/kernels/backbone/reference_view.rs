@@ -2,7 +2,7 @@ use crate::case::*;
 use zipsplat::kernels::backbone::ReferenceView;
 use zipsplat_tests::reference::backbone::reference_view::scores;
 
-/// From the first token of each view; also returns the scores.
+/// Returns the views' scores and the choice, from the first token of each view.
 fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {
     let (views, tokens_per_view) = (tokens.len() / width, 3);
     let with_patches: Vec<f32> =

@@ -7,7 +7,7 @@ use zipsplat::ops::{Nearest, NearestKernel, Tile, Tiles, Units};
 use zipsplat_tests::reference::cluster::nearest::{TIE, nearest as reference};
 use zipsplat_verify::{Chosen, NearestTruth};
 
-/// Also returns the origin, given or computed by the kernel.
+/// Returns the nearest rows and the origin, given or computed by the kernel.
 fn find(
     limits: &Limits,
     kernel: NearestKernel,

@@ -22,7 +22,7 @@ struct Call {
     panel: usize,
     /// Zero channels behind a head.
     padding: usize,
-    /// Of averaged groups of `grid` patches; `first_row` and `rows` then count groups.
+    /// Side of the averaged groups of `grid` patches; `first_row` and `rows` then count groups.
     side: usize,
 }
 

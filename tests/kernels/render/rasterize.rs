@@ -32,7 +32,7 @@ fn draw<const CHANNELS: usize>(splats: &[Splat], runs: u32, batched: bool, all: 
     let tiles = grid[0] * grid[1];
     let every: Vec<u32> = (0..tiles).flat_map(|_| 0..splats.len() as u32).collect();
     let each = |f: fn(&Splat) -> [f64; 3]| -> Vec<[f32; 3]> { splats.iter().map(|s| f(s).map(|v| v as f32)).collect() };
-    // See kernels/render/project.comp.
+    // The kernel's conic: see kernels/render/project.comp.
     let completed = |s: &Splat| {
         let [a, b, c] = s.conic;
         [a, -b / a, c - b * b / a]

@@ -60,7 +60,7 @@ fn refined(shot: &Shot, photos: &[Image], exposure: Exposure) -> RefineResult {
     refined
 }
 
-/// In dB.
+/// Held-out PSNR in dB, after color correction if asked for.
 pub fn held_out_psnr(shot: &Shot, scene: &Scene, corrects: bool) -> f64 {
     let psnr = |i: &usize| {
         let [drawn, photo] = pair(scene, &shot.cameras[*i], &shot.images[*i]);

@@ -1,4 +1,4 @@
-//! Against PyPI's `plyfile`.
+//! PLY files against PyPI's `plyfile`.
 
 use super::scene;
 use std::path::Path;

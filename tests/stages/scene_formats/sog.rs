@@ -30,7 +30,7 @@ fn archived(files: &[(String, Vec<u8>)]) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// In the order of `found`, by nearest mean.
+/// The truth's Gaussians in the order of `found`, by nearest mean.
 fn ordered(truth: &Scene, found: &Scene) -> Scene {
     let distance = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
     let nearest = |mean: &[f32; 3]| {

@@ -37,7 +37,7 @@ fn joined<T: Copy>([frame, global]: [&[T]; 2], width: usize) -> Vec<T> {
     frame.chunks(width).zip(global.chunks(width)).flat_map(|(a, b)| a.iter().chain(b)).copied().collect()
 }
 
-/// From values of the point head.
+/// Point and confidence by the values of the point head.
 fn world_point(values: &[f64]) -> ([f64; 3], f64) {
     ([0, 1, 2].map(|i| values[i].abs().exp_m1().copysign(values[i])), 1.0 + values[3].exp())
 }
@@ -205,7 +205,7 @@ fn positions_and_encodings() {
     assert_close("intrinsics", &lenses.collect::<Vec<_>>(), &golden.f64("pose/intrinsics"), within);
 }
 
-/// Of one size; neither transparency nor padding.
+/// Pixels and sums of photos of one size; neither transparency nor padding.
 #[test]
 fn photos_of_vggt_are_pillows() {
     let Some(golden) = Golden::open("vggt_pre.safetensors") else { return };

@@ -16,7 +16,7 @@ use zipsplat::{
 };
 
 pub(super) const STEPS: usize = 200;
-/// Of rotations in radians and of shifts.
+/// Learning rate of rotations in radians and of shifts.
 const RATE: f64 = 5e-3;
 /// Loss change that ends the search after [`PATIENCE`] smaller ones.
 const FLAT: f64 = 1e-5;

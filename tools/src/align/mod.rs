@@ -44,7 +44,8 @@ const PATIENCE: usize = 12;
 pub enum Method {
     /// See [`align`].
     LevenbergMarquardt,
-    /// See [`adam::align`].
+    /// Method of ZipSplat's authors: at most 200 steps of Adam, with LPIPS if its weights are
+    /// available, all photos until their mean loss stays, without a movement limit
     Adam,
 }
 
@@ -72,13 +73,13 @@ impl Method {
 
 pub struct Aligned {
     pub camera: Camera,
-    /// From the camera, `[height][width][rgb]` in 0..1.
+    /// Rendering from the camera, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<f32>,
-    /// From the initial camera.
+    /// Rendering from the initial camera.
     pub before: Vec<f32>,
-    /// From the initial camera, in radians.
+    /// Rotation from the initial camera, in radians.
     pub turn: f64,
-    /// From the initial camera, in the unit of the poses.
+    /// Distance from the initial camera, in the unit of the poses.
     pub shift: f64,
     pub doubt: Option<Doubt>,
 }

@@ -37,7 +37,7 @@ const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Up to so many photos, every unregistered one justifies a retry.
+/// Number of photos up to which every unregistered photo justifies a retry.
 const FEW_PHOTOS: usize = 12;
 /// Registered fraction that needs no retry, for more photos.
 const ENOUGH: f64 = 0.8;

@@ -268,7 +268,7 @@ fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     Cow::Owned(scene)
 }
 
-/// Keeps the heading.
+/// Levels a pose, keeping its heading.
 fn level(pose: &Pose, up: DVec3) -> Pose {
     let forward = pose.rotation.z_axis.reject_from_normalized(up);
     let forward = forward.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());

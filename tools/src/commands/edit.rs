@@ -56,7 +56,7 @@ pub struct Edit {
     edits: Edits,
 }
 
-/// In the order of the command line.
+/// Edits in the order of the command line.
 struct Edits(Vec<Operation>);
 
 /// Help, in the order of [`Operation::FORMS`].
@@ -157,7 +157,7 @@ impl Edit {
         session.report(&json, if edits.is_empty() { text } else { format!("{text}\n{table}") })
     }
 
-    /// Keeps the world if all scenes have the same.
+    /// Reads the scenes and their features. Their world is kept if all have the same.
     fn merged(&self, session: &mut Session<'_>) -> Result<(Scene, Option<Lifted>, usize, Option<World>)> {
         lifted::check_count(&self.features, &self.scenes)?;
         let (mut merged, mut dropped) = self.input.read(session, &self.scenes[0])?;

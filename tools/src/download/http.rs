@@ -59,7 +59,7 @@ fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
 }
 
 impl Client {
-    /// Environment: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token for the hub only,
+    /// Reads the environment: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token for the hub only,
     /// `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` a proxy, `SSL_CERT_FILE` root certificates.
     pub fn from_environment(patience: Duration) -> Result<Self> {
         let set = |name: &str| env::var(name).ok().filter(|value| !value.trim().is_empty());

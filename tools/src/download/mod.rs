@@ -93,7 +93,7 @@ pub fn fetch(
 struct Tries(u32);
 
 impl Tries {
-    /// Exponential backoff, up to the timeout.
+    /// Waits with exponential backoff, up to the timeout.
     fn failed(&mut self, url: &str, reason: &str, patience: Duration, stage: &Stage<'_>) -> Result<()> {
         self.0 += 1;
         if self.0 == TRIES {

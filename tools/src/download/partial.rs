@@ -63,7 +63,7 @@ impl Lock {
                 }
                 std::thread::sleep(POLL);
             }
-            // Another process may have removed and recreated the file.
+            // The previous owner may have removed the file, and another process recreated it.
             if is_at(&file, &path).map_err(failed)? {
                 return Ok(Self { path, _file: file });
             }

@@ -31,7 +31,8 @@ fn label(number: usize) -> String {
     format!("labels/{number:03}.png")
 }
 
-/// For checks before overwriting: in our folders without depth and labels, which state no author.
+/// Returns the files to check before overwriting. A folder of ours excludes depth and labels,
+/// which state no author.
 pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
     let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
     let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);

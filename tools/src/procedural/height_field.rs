@@ -50,7 +50,7 @@ impl HeightField {
         Self { half_side, cells, heights, normals, ranges, blocks, max_height }
     }
 
-    /// In meters.
+    /// Returns the side of a cell in meters.
     pub fn step(&self) -> f32 {
         2.0 * self.half_side / self.cells as f32
     }

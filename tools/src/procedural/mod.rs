@@ -36,5 +36,5 @@ pub use survey::{LEAST_OVERLAP, WITNESSES};
 pub use wide::{WideLens, WideModel};
 pub use world::World;
 
-/// Of the generator's output.
+/// Version of the generator's output.
 pub const VERSION: u32 = 2;

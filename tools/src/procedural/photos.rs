@@ -10,7 +10,7 @@ use zipsplat::{
 
 use super::tone::srgb_to_linear;
 
-/// Allows training data and releases.
+/// Class whose crops may color training data and releases.
 const PERMISSIVE: &str = "permissive";
 
 /// Entry of `manifest.json`; other fields are ignored.
@@ -20,7 +20,7 @@ pub struct Crop {
     pub repo: String,
     #[serde(alias = "licence")]
     pub license: String,
-    /// Only `permissive` crops are used.
+    /// License class; only `permissive` crops are used.
     #[serde(alias = "licence_class")]
     pub license_class: String,
 }
@@ -41,7 +41,7 @@ struct Level {
 }
 
 impl Photos {
-    /// Takes the permissively licensed crops.
+    /// Reads the permissively licensed crops of a folder's `manifest.json`.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);

@@ -39,7 +39,7 @@ const BATCH: u64 = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// 0 until the stream ends.
+    /// Number of scenes; 0 until the stream ends.
     pub scenes: u64,
     pub views: u32,
     pub height: u32,

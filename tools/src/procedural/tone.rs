@@ -1,4 +1,4 @@
-//! From linear light to sRGB bytes.
+//! Camera model from linear light to sRGB bytes.
 
 use glam::Vec3A;
 use zipsplat::random::mix;

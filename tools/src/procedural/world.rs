@@ -57,7 +57,7 @@ pub struct World {
 
 pub(super) struct Hit {
     pub light: Vec3A,
-    /// `None` in the sky.
+    /// Distance to the surface; `None` in the sky.
     pub distance: Option<f32>,
     /// Surface, face and shadow: differing neighbors are an edge for antialiasing.
     pub region: u32,
@@ -79,7 +79,7 @@ impl World {
         &self.primitives
     }
 
-    /// In meters, along a unit direction.
+    /// Distance in meters along a unit direction.
     pub fn distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
         self.bvh.nearest(&self.primitives, origin, direction, FAR).map(|(t, _)| t)
     }
@@ -88,7 +88,7 @@ impl World {
         self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.center)))
     }
 
-    /// By a surface, except within `slack` meters of `to`.
+    /// Returns true for a surface in between, except within `slack` meters of the second point.
     pub(super) fn blocked(&self, from: Vec3A, to: Vec3A, slack: f32) -> bool {
         let length = (to - from).length();
         self.bvh.occluded(&self.primitives, from, (to - from) / length, length - slack)

@@ -114,7 +114,7 @@ mod tests {
         assert_eq!(even(&frames, 6), [0, 55, 111, 166, 222, 278]);
     }
 
-    /// On a line with doubling steps; the third has no photo.
+    /// Frames on a line with doubling steps; the third has no photo.
     fn line(count: i32) -> Capture {
         let frame = |i: i32| CaptureView {
             name: i.to_string(),

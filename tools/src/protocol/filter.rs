@@ -19,7 +19,7 @@ pub enum Filter {
 }
 
 impl Filter {
-    /// To an aspect ratio.
+    /// Center-crops a photo to an aspect ratio and resizes it.
     pub fn cropped(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => cropped(photo, width, height),
@@ -27,7 +27,7 @@ impl Filter {
         }
     }
 
-    /// At the scale of [`Filter::cropped`].
+    /// Resizes a whole photo at the scale of [`Filter::cropped`].
     pub fn whole(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => whole(photo, width, height),

@@ -11,7 +11,7 @@ use zipsplat::{
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
-    /// As in index files.
+    /// Name, as in index files.
     pub name: String,
     /// File or folder.
     cameras: PathBuf,

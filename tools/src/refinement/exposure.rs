@@ -34,7 +34,7 @@ impl Exposure {
 }
 
 impl RefineSettings {
-    /// Also names the rule that decided.
+    /// Returns whether exposures were learned, and the rule that decided.
     pub(super) fn exposure_rule(&self, photos: &[PathBuf], refined: &RefineResult) -> String {
         let learned = if refined.exposures.is_some() { "learned" } else { "not learned" };
         let rule = match (self.exposure, stops(photos)) {
@@ -50,7 +50,7 @@ impl RefineSettings {
     }
 }
 
-/// In stops; `None` for fewer than two EXIF exposures.
+/// Returns the largest difference of the photos' EXIF exposures, in stops, if two or more have one.
 fn stops(photos: &[PathBuf]) -> Option<f64> {
     let exposures: Vec<f64> = photos.iter().filter_map(|photo| exposure(photo)).collect();
     let bounds = exposures.iter().fold((f64::MAX, f64::MIN), |(low, high), of| (low.min(*of), high.max(*of)));

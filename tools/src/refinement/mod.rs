@@ -48,7 +48,7 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// For a refinement that writes `output`: a file beside it.
+/// Returns the checkpoint of a refinement that writes `output`: a file beside it.
 pub fn checkpoint(
     output: &Path,
     photos: &[PathBuf],
@@ -66,7 +66,7 @@ pub fn checkpoint(
     Ok(RefineCheckpoint::new(path.into(), digest(&parts)))
 }
 
-/// After the scene is written, unless unreadable files ended the refinement.
+/// Removes the checkpoint of a scene that is written, unless unreadable files ended the refinement.
 pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
     let is_needed = matches!(refined.stop_reason, Some(StopReason::Io(_)));
     if let Some(checkpoint) = request.checkpoint.as_ref().filter(|_| !is_needed) {

@@ -33,9 +33,9 @@ const SCHEMA_VERSION: u32 = 1;
 pub struct Terminal<'a> {
     pub out: &'a mut dyn Write,
     pub err: &'a mut dyn Write,
-    /// On standard error: a bar on a terminal, else occasional lines.
+    /// Progress on standard error: a bar on a terminal, else occasional lines.
     pub progress: bool,
-    /// The command ends with exit code 130 and leaves no partial file.
+    /// Stop flag: the command ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,
 }
 
@@ -118,7 +118,7 @@ impl<'a> Session<'a> {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
 
-    /// `None`: an ordinary device.
+    /// Returns the device to plan for, or none for an ordinary one.
     pub fn planned_device(&mut self) -> Result<Option<Device>> {
         if self.plans_for_none() {
             return Ok(None);

@@ -15,7 +15,7 @@ use std::{
 use zipsplat::{Error, Result, gpu::Progress};
 
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Off a terminal.
+/// Delay before the first progress line off a terminal.
 pub(super) const FIRST_LINE: Duration = Duration::from_secs(5);
 const BETWEEN_LINES: Duration = Duration::from_secs(30);
 const ESTIMABLE: f64 = 0.02;
@@ -75,7 +75,7 @@ impl<'a> Stage<'a> {
         self.at(progress.fraction)
     }
 
-    /// With the same cancellation, for parallel steps.
+    /// Hidden stage with the same cancellation, for parallel steps.
     pub fn silent(&self) -> Stage<'_> {
         Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
     }

@@ -67,7 +67,8 @@ impl InputCamera {
     }
 }
 
-/// Also returns notes. Poses are in the scene's world.
+/// Reads cameras into the scene's world, with notes. Photos come from the camera file's folder or
+/// by name from `photos`; none with `without_photos`.
 pub fn input_cameras(
     file: &Path,
     relative_to: Option<&Path>,

@@ -6,7 +6,7 @@ use zipsplat::features::Lifted;
 
 /// Most channels in the page.
 const CHANNELS: usize = 16;
-/// Rows for the principal components, evenly spaced.
+/// Rows that the principal components are computed from, evenly spaced.
 const SAMPLE: usize = 4096;
 const ITERATIONS: usize = 16;
 

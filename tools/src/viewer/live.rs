@@ -77,7 +77,7 @@ impl Live<'_> {
         made
     }
 
-    /// As [`Live::make`], unless `overtaken`.
+    /// Acts as [`Live::make`], unless `overtaken`.
     pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<LiveScene> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };

@@ -126,7 +126,7 @@ impl FromPhotos {
         self.refine.steps().is_some()
     }
 
-    /// Up to the network's features.
+    /// Runs the network up to its features.
     pub fn prepare<'a, 's: 'a>(
         &'a self,
         session: &mut Session<'s>,

@@ -86,7 +86,7 @@ impl Script {
         self.output(Command::new(python).args(["-c", self.check])).map(drop)
     }
 
-    /// With the file of `scene`, if any.
+    /// Runs the script with the file of `scene`, if any, and `args`.
     pub fn run<T: DeserializeOwned>(
         &self,
         python: &Path,

@@ -127,7 +127,7 @@ impl Refine {
     fn measure(&self, device: &Device, case: &Case, limits: &Limits, stage: &Stage<'_>) -> Result<Vec<Row>> {
         let Repeats { warmup, repeats } = self.repeats;
         let runs = warmup + repeats;
-        // Bytes and arithmetic are those in use.
+        // Exact capacity: bytes and arithmetic are those in use.
         let intersection_capacity = case.intersections(device)?;
         let (mut profiles, mut peak_bytes) = (Vec::new(), 0);
         for i in 0..runs {

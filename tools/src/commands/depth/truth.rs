@@ -108,7 +108,8 @@ fn ratios(view: &DepthMap, map: &PixelMap, ([width, height], truth): &([u32; 2],
     view.depth.iter().enumerate().filter_map(ratio).collect()
 }
 
-/// For [`Errors::depth`]: medians over photos, scaled by the median of their medians.
+/// Medians of AbsRel and of the share within a factor of 1.25, scaled by the median of photo
+/// medians.
 fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
     let scale = median(photos.iter().filter_map(|ratios| median(ratios.iter().copied())))?;

@@ -30,7 +30,7 @@ impl Reconstruct {
         self.finding.depth_weights.is_none() && finder.is_none_or(|finder| finder.is_some_and(by_network))
     }
 
-    /// Of photos whose cameras are not read from a file.
+    /// Masks of photos whose cameras are not read from a file.
     pub(super) fn unposed(&self) -> Option<&MaskArgs> {
         let is_unposed = self.cameras.as_deref().is_none_or(KnownCameras::to_find);
         is_unposed.then_some(&self.finding.search.masks)

@@ -87,7 +87,7 @@ impl Case<'_> {
         chosen && self.request.kv_pool == args.kv_pool[0]
     }
 
-    /// From points alone only in a capture's first case.
+    /// Refines from points alone only in a capture's first case.
     fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Initialization, RefineTask)> {
         let default: &[Initialization] = if self.cloud.is_some() {
             &[Initialization::Points, Initialization::Scene]

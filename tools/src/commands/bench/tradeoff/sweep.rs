@@ -312,7 +312,7 @@ impl Bench<'_> {
     }
 }
 
-/// Also returns the mean number of views per cluster for k-means.
+/// Returns the kept tokens and, for k-means, the mean number of views per cluster.
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
     match case.shape.kept {

@@ -24,7 +24,7 @@ pub const MOST_FLOPS: u64 = 20_000_000_000;
 pub struct Errors {
     /// Of all output layers.
     pub backbone: f64,
-    /// After the last block.
+    /// Scene tokens after the last block.
     pub fuse: f64,
     pub means: f64,
     pub scales: f64,

@@ -1,4 +1,4 @@
-//! Make a capture's scene; one stays on the device.
+//! Networks that make a capture's scene; one stays on the device.
 
 use super::{Batch, Reconstruct};
 use crate::{
@@ -32,7 +32,7 @@ pub struct TokenInput {
     images: Vec<Image>,
     request: ReconstructOptions,
     blocks: Vec<Block>,
-    /// See [`Crop::network_cameras`].
+    /// Pose of the first camera, see [`Crop::network_cameras`].
     turned: Option<Pose>,
     note: Option<String>,
 }
@@ -91,7 +91,7 @@ impl<'a> Maker<'a> {
         Ok((Self::Pixels(Box::new(predictor)), settings_key))
     }
 
-    /// In any number of passes.
+    /// Returns true if the network takes this number of photos, in any number of passes.
     pub fn takes(&self, photos: usize) -> bool {
         photos > 0 && (photos <= MAX_VIEWS || matches!(self, Self::Tokens { .. }))
     }

@@ -112,7 +112,7 @@ impl<'a> Batch<'a> {
         session.report(&json, text)
     }
 
-    /// Against other batches, until dropped.
+    /// Locks the output folder against other batches, until dropped.
     fn lock(&self) -> Result<Option<File>> {
         let output = self.command.output();
         outputs::make_folder(output)?;
