@@ -87,7 +87,8 @@ impl BlockLayout {
     /// As [`BlockLayout::new`] for passes of this `shape`.
     ///
     /// # Errors
-    /// Also [`Error::Argument`] for too many patches, or for no shared views without known cameras.
+    /// Those of `shape`; [`Error::Argument`] for too many patches, or blocks without known cameras
+    /// that share no views.
     pub fn checked(
         views: usize,
         size: usize,
@@ -217,7 +218,8 @@ impl Model {
     /// without them, shared patches do.
     ///
     /// # Errors
-    /// Also [`Error::Argument`] for given tokens, or blocks that share too few patches.
+    /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that
+    /// share too few patches.
     pub fn reconstruct_blocks(
         &self,
         images: &[Image],
@@ -323,7 +325,7 @@ impl Joined {
     }
 }
 
-/// From block `i` to the scene.
+/// Returns the similarity from block `i` of views to the scene.
 fn joining(shared: &[[DVec3; 2]], i: usize) -> Result<Similarity> {
     let found = Similarity::of_shared_points(shared).filter(|_| shared.len() >= MIN_SHARED);
     found.ok_or_else(|| {

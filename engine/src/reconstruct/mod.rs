@@ -132,7 +132,7 @@ impl Model {
     /// As [`Model::load`], with options and progress from 0 to 1.
     ///
     /// # Errors
-    /// Also [`Error::Argument`] for an unsupported precision.
+    /// Those of [`Model::load`], and [`Error::Argument`] for an unsupported precision.
     pub fn load_with(
         device: &Device,
         weights: &str,

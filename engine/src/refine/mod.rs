@@ -178,7 +178,7 @@ pub fn refine_scene(
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
 ///
 /// # Errors
-/// Also [`Error::Argument`] if the tokens belong to another head.
+/// Those of [`refine_scene`], and [`Error::Argument`] if the tokens belong to another head.
 pub fn refine_tokens(
     arena: &Arena,
     head: &FrozenHead,
