@@ -4,6 +4,7 @@ use crate::{
 };
 use std::path::PathBuf;
 use zipsplat_c::*;
+use zipsplat_tests::processes::resident_bytes;
 
 /// Allocators and driver threads occasionally grow; a leak grows in every stretch.
 const STRETCHES: usize = 4;
@@ -25,12 +26,6 @@ fn cycle(cycle: usize) {
         objects[i] = None;
     }
     assert_eq!(draw(&renderer, &camera(32, 32, 0.0), &options, 4), early);
-}
-
-fn resident_bytes() -> u64 {
-    let statistics = std::fs::read_to_string("/proc/self/statm").expect("Linux");
-    let pages: u64 = statistics.split(' ').nth(1).and_then(|pages| pages.parse().ok()).expect("a number of pages");
-    4096 * pages
 }
 
 fn growth(cycles: usize) -> f64 {

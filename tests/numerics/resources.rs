@@ -2,7 +2,7 @@
 
 use crate::{micro, noise, reconstruct};
 use std::time::Duration;
-use zipsplat_tests::prelude::*;
+use zipsplat_tests::{prelude::*, processes::resident_bytes};
 
 fn scene_files() -> Vec<String> {
     scenes::scene_extensions().map(|extension| format!("scene.{extension}")).collect()
@@ -120,11 +120,6 @@ fn two_processes_on_one_device_get_the_same() {
 fn reconstructs() {
     let Some(file) = target() else { return };
     std::fs::write(file, reconstructed(&[0.5])).unwrap();
-}
-
-fn resident_bytes() -> u64 {
-    let pages = std::fs::read_to_string("/proc/self/statm").expect("Linux");
-    4096 * pages.split(' ').nth(1).and_then(|count| count.parse::<u64>().ok()).expect("a number of pages")
 }
 
 #[test]

@@ -52,7 +52,7 @@ pub use median::median;
 pub use ply::{
     PlyProperty, PointCloud, read_ply, read_ply_property, read_points, write_ply, write_ply_with, write_points,
 };
-pub use scene::{NEAR, Scene, near};
+pub use scene::{NEAR, SH_0, Scene, near};
 pub use scene_file::{SceneFormat, read_world};
 pub use sh_rotation::sh_rotation;
 pub use similarity::Similarity;

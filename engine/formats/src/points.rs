@@ -1,6 +1,6 @@
 //! Scenes from point clouds.
 
-use crate::{Camera, Error, PointCloud, Result, Scene};
+use crate::{Camera, Error, PointCloud, Result, SH_0, Scene};
 use glam::DVec3;
 use rayon::prelude::*;
 use rstar::{PointDistance, RTree, primitives::GeomWithData};
@@ -11,8 +11,6 @@ const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
 /// Few photos' views do not determine more.
 const DEGREE: u32 = 1;
-/// Harmonic of degree 0, `1 / (2 sqrt(pi))`.
-const SH_0: f32 = 0.282_094_8;
 const GRAY: [u8; 3] = [128; 3];
 
 impl Scene {

@@ -8,6 +8,8 @@ use crate::{Error, Result};
 
 /// Default near plane in world units, as in gsplat.
 pub const NEAR: f32 = 0.01;
+/// Spherical harmonic of degree 0, `1 / (2 sqrt(pi))`.
+pub const SH_0: f32 = 0.282_094_79;
 const SMALL: f64 = 0.1;
 const SAMPLE: usize = 4096;
 

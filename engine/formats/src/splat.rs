@@ -2,10 +2,8 @@
 //! color and opacity RGBA8, rotation wxyz 4 u8 centered at 128. Axes as in PLY. Color is that of
 //! degree 0, clamped to 0..1.
 
-use std::f32::consts::FRAC_1_PI;
-
 use super::format::{Encoder, Format, SaveOptions};
-use super::{Scene, World, camera::unit_quaternion, source::Source};
+use super::{SH_0, Scene, World, camera::unit_quaternion, source::Source};
 use crate::{Error, Result};
 
 pub(super) const FORMAT: Format = Format {
@@ -19,11 +17,6 @@ pub(super) const FORMAT: Format = Format {
 };
 
 const ROW: usize = 32;
-
-/// `1 / (2 sqrt(pi))`.
-fn sh_constant() -> f32 {
-    0.5 * FRAC_1_PI.sqrt()
-}
 
 /// The largest and most opaque Gaussians first, for progressive viewers.
 fn order(scene: &Scene) -> Vec<usize> {
@@ -39,7 +32,7 @@ fn encoder<'a>(scene: &'a Scene, _: &SaveOptions, _: Option<&World>) -> Result<E
 
 fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
     let level = |value: f32| (255.0 * value).round() as u8;
-    let [r, g, b] = scene.sh_coeffs[i * scene.sh_coeffs_per_gaussian()].map(|dc| level(0.5 + sh_constant() * dc));
+    let [r, g, b] = scene.sh_coeffs[i * scene.sh_coeffs_per_gaussian()].map(|dc| level(0.5 + SH_0 * dc));
     let rotation = unit_quaternion(scene.quats[i]).map(|q| (128.0 * q + 128.0).round() as u8);
     let mut row = [0; ROW];
     row[..12].copy_from_slice(bytemuck::cast_slice(&scene.means[i].map(f32::to_le_bytes)));
@@ -66,7 +59,7 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
         scene.scales.push([sx, sy, sz]);
         scene.quats.push(std::array::from_fn(|j| (f32::from(row[28 + j]) - 128.0) / 128.0));
         scene.opacities.push(f32::from(row[27]) / 255.0);
-        scene.sh_coeffs.push(std::array::from_fn(|c| (f32::from(row[24 + c]) / 255.0 - 0.5) / sh_constant()));
+        scene.sh_coeffs.push(std::array::from_fn(|c| (f32::from(row[24 + c]) / 255.0 - 0.5) / SH_0));
     }
     Ok(scene)
 }

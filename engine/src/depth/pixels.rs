@@ -1,8 +1,7 @@
 use super::{DepthMap, DepthPrediction, output::SKY, pixel_gaussians};
-use crate::types::{Camera, Image, Scene};
+use crate::types::{Camera, Image, SH_0, Scene};
 use glam::DVec3;
 
-const SH0: f32 = 0.282_094_79;
 /// In pixels, enough to hide the grid.
 const SIGMA: f64 = 0.6;
 const OPACITY: f32 = 0.95;
@@ -23,7 +22,7 @@ fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (dept
     scene.quats.push([1.0, 0.0, 0.0, 0.0]);
     scene.opacities.push(opacity);
     let rgb: [u8; 3] = std::array::from_fn(|c| image.rgb[3 * at + c]);
-    scene.sh_coeffs.push(rgb.map(|value| (f32::from(value) / 255.0 - 0.5) / SH0));
+    scene.sh_coeffs.push(rgb.map(|value| (f32::from(value) / 255.0 - 0.5) / SH_0));
 }
 
 impl DepthPrediction {

@@ -47,17 +47,17 @@ impl Exposed {
     /// Records the transforms of `frames` `[cameras, height, width, 3]` by `transforms` `[cameras,
     /// 3, 4]`. Values beyond saturated `targets` become those.
     pub fn record(rec: &mut Recorder, [frames, targets, transforms]: [Tensor; 3], shape: FrameShape) -> Self {
-        let exposed = rec.tensor::<f32>("exposed", 3 * pixels_of(shape) * shape.cameras);
+        let exposed = rec.tensor::<f32>("exposed", 3 * shape.pixels() * shape.cameras);
         rec.scope("exposure", |rec| {
             for (cameras, [frames, targets, exposed]) in parts(rec, shape, [frames, targets, exposed]) {
-                let count = cameras.len() * pixels_of(shape);
+                let count = cameras.len() * shape.pixels();
                 let kernel = kernels::Exposure {
                     frames,
                     targets,
                     transforms,
                     exposed,
                     count: count as u32,
-                    pixels: pixels_of(shape) as u32,
+                    pixels: shape.pixels() as u32,
                     first: cameras.start as u32,
                 };
                 rec.dispatch(kernel, count);
@@ -71,7 +71,7 @@ impl Exposed {
     pub fn record_backward(self, rec: &mut Recorder, gradient: Tensor) -> Tensor {
         let Self { frames, targets, transforms, shape, .. } = self;
         let d_transforms = rec.tensor::<[f32; EXPOSURE_NUMBERS]>("d_transforms", shape.cameras);
-        let groups = pixels_of(shape).div_ceil(RUN * rec.limits().subgroup_size as usize);
+        let groups = shape.pixels().div_ceil(RUN * rec.limits().subgroup_size as usize);
         rec.scope("exposure", |rec| {
             for (cameras, [frames, targets, gradient]) in parts(rec, shape, [frames, targets, gradient]) {
                 let sums = rec.tensor::<f32>("sums", EXPOSURE_NUMBERS * cameras.len() * groups);
@@ -82,7 +82,7 @@ impl Exposed {
                     gradient,
                     sums,
                     cameras: cameras.len() as u32,
-                    pixels: pixels_of(shape) as u32,
+                    pixels: shape.pixels() as u32,
                     groups: groups as u32,
                     first: cameras.start as u32,
                     run: RUN as u32,
@@ -97,17 +97,13 @@ impl Exposed {
     }
 }
 
-fn pixels_of(shape: FrameShape) -> usize {
-    shape.width as usize * shape.height as usize
-}
-
 /// Ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
 fn parts(
     rec: &Recorder,
     shape: FrameShape,
     pictures: [Tensor; 3],
 ) -> impl Iterator<Item = (Range<usize>, [Tensor; 3])> + use<> {
-    let values = 3 * pixels_of(shape);
+    let values = 3 * shape.pixels();
     row_chunks(rec, shape.cameras, &[size_of::<f32>() * values]).map(move |cameras| {
         let part = |picture: Tensor| picture.slice::<f32>(cameras.start * values, cameras.len() * values);
         (cameras.clone(), pictures.map(part))

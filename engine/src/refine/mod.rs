@@ -76,7 +76,7 @@ pub struct RefineProgress<'a> {
     /// Total steps.
     pub steps: usize,
     /// Mean loss over the last step's photos.
-    pub loss: Option<f32>,
+    pub loss: f32,
     /// Latest PSNR of the held-out photos in dB.
     pub psnr: Option<f64>,
     /// Estimated time left.

@@ -254,7 +254,7 @@ impl<'a> Refinement<'a> {
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
             let snapshots = |done: usize| done * self.options.snapshots / steps;
             let scene = (snapshots(done) > snapshots(step)).then(|| self.scene()).transpose()?;
-            let now = RefineProgress { step: done, steps, loss: Some(loss), psnr, eta, scene: scene.as_ref() };
+            let now = RefineProgress { step: done, steps, loss, psnr, eta, scene: scene.as_ref() };
             let cancelled = progress(now).is_break();
             if let Some(saving) = saving.as_mut().filter(|saving| cancelled || saving.is_due())
                 && let Err(error) = self.save(saving, done, begin)

@@ -36,7 +36,7 @@ impl DepthFrames {
     /// Records the colors of `frames` and the fit of `targets` `[cameras, height, width]`, inverse
     /// depth or 0 if unknown.
     pub fn record(rec: &mut Recorder, [frames, targets]: [Tensor; 2], shape: FrameShape) -> Self {
-        let colors = rec.tensor::<f32>("frame_colors", 3 * pixels_of(shape) * shape.cameras);
+        let colors = rec.tensor::<f32>("frame_colors", 3 * shape.pixels() * shape.cameras);
         let lines = rec.tensor::<[f32; TERMS]>("depth_lines", shape.cameras);
         let split = Self { frames, targets, shape, lines, colors };
         rec.scope("depth_loss", |rec| {
@@ -56,7 +56,7 @@ impl DepthFrames {
     pub fn record_backward(self, rec: &mut Recorder, d_colors: Tensor, weight: Tensor, kind: DepthKind) -> [Tensor; 2] {
         let Self { frames, targets, shape, lines, .. } = self;
         let value = rec.tensor::<f32>("depth_loss", shape.cameras);
-        let d_frames = rec.tensor::<f32>("d_frames", CHANNELS * pixels_of(shape) * shape.cameras);
+        let d_frames = rec.tensor::<f32>("d_frames", CHANNELS * shape.pixels() * shape.cameras);
         rec.scope("depth_loss", |rec| {
             self.each_part(rec, 1, |rec, part, sums| {
                 let Part { first, cameras, pixels, groups } = part;
@@ -85,7 +85,7 @@ impl DepthFrames {
     /// Records parts of the cameras whose frames fit a binding. `record` writes `[cameras, width,
     /// groups]` sums and returns the tensor of their totals.
     fn each_part(self, rec: &mut Recorder, width: usize, record: impl Fn(&mut Recorder, Part, Tensor) -> Tensor) {
-        let pixels = pixels_of(self.shape);
+        let pixels = self.shape.pixels();
         let groups = pixels.div_ceil(RUN * rec.limits().subgroup_size as usize);
         let widths = [CHANNELS, 3, 1].map(|channels| size_of::<f32>() * channels * pixels);
         for cameras in row_chunks(rec, self.shape.cameras, &widths) {
@@ -112,8 +112,4 @@ impl Part {
         let width = channels * self.pixels as usize;
         tensor.slice::<f32>(width * self.first as usize, width * self.cameras as usize)
     }
-}
-
-fn pixels_of(shape: FrameShape) -> usize {
-    shape.width as usize * shape.height as usize
 }

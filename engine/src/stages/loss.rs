@@ -57,7 +57,7 @@ pub fn record_loss(
     channels: usize,
     scale: f32,
 ) -> LossTensors {
-    let pixels = shape.width as usize * shape.height as usize;
+    let pixels = shape.pixels();
     let value = rec.tensor::<f32>("loss", shape.cameras);
     let d_frames = rec.tensor::<f32>("d_frames", shape.cameras * pixels * channels);
     rec.scope("loss", |rec| {

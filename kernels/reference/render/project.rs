@@ -5,7 +5,7 @@ use glam::{DMat3, DQuat, DVec3};
 use super::sh;
 
 /// Added variance, pixels^2.
-const EPS_2D: f64 = 0.3;
+pub const EPS_2D: f64 = 0.3;
 const NEAR: f64 = 0.01;
 const FAR: f64 = 1e10;
 pub const MIN_ALPHA: f64 = 1.0 / 255.0;

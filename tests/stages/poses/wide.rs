@@ -1,5 +1,6 @@
 //! Photos of wide lenses become pinhole views.
 
+use super::{assert_format_error, assert_same_pose};
 use serde_json::json;
 use std::f64::consts::{PI, TAU};
 use zipsplat::types::poses::{CaptureView, write_colmap, write_frames};
@@ -232,9 +233,9 @@ fn colmap_models_have_the_same_views() {
         let text: serde_json::Value = serde_json::from_slice(&fs::read(&again).unwrap()).unwrap();
         assert_eq!(text["frames"].as_array().unwrap().len(), 1);
         let read = Capture::open(&again).unwrap();
-        for (read, frame) in read.frames.iter().zip(&json.frames) {
+        for (i, (read, frame)) in read.frames.iter().zip(&json.frames).enumerate() {
             assert_eq!((&read.name, read.lens), (&frame.name, frame.lens));
-            assert_same_pose(&read.camera.pose, &frame.camera.pose);
+            assert_same_pose(&read.camera.pose, &frame.camera.pose, i);
         }
         // Views that moved apart are frames of their own.
         let mut moved = json.frames.clone();
@@ -243,20 +244,15 @@ fn colmap_models_have_the_same_views() {
         write_frames(&again, &moved, None).unwrap();
         let read = Capture::open(&again).unwrap();
         assert_eq!(read.frames.len(), moved.len());
-        for (read, frame) in read.frames.iter().zip(&moved) {
+        for (i, (read, frame)) in read.frames.iter().zip(&moved).enumerate() {
             assert_eq!((&read.name, read.lens), (&frame.name, frame.lens));
-            assert_same_pose(&read.camera.pose, &frame.camera.pose);
+            assert_same_pose(&read.camera.pose, &frame.camera.pose, i);
         }
         let photos = read.per_view(vec!["a.png".into()]).unwrap();
         assert_eq!(photos.len(), lens.views);
         let frames: Vec<CaptureView> = read.frames_of(&photos).unwrap().into_iter().cloned().collect();
         assert_eq!(frames, read.frames);
     }
-}
-
-#[track_caller]
-fn assert_same_pose(found: &Pose, truth: &Pose) {
-    assert!(found.matrix().abs_diff_eq(truth.matrix(), 1e-12), "{found:?}, truth {truth:?}");
 }
 
 #[test]
@@ -297,7 +293,7 @@ fn unusable_wide_lenses_are_named() {
         let mut file = lens.json();
         change(&mut file);
         fs::write(&path, file.to_string()).unwrap();
-        assert_malformed_capture(&path, &[&["transforms.json", "frames[0]"], parts].concat());
+        assert_format_error(&path, &[&["transforms.json", "frames[0]"], parts].concat());
     };
     let without = |file: &mut serde_json::Value| file.as_object_mut().unwrap().retain(|key, _| !key.starts_with('k'));
     refused(&LENSES[0], &without, &["fisheye", "found none", "k1 to k4"]);
@@ -311,14 +307,9 @@ fn unusable_wide_lenses_are_named() {
     let model = folder.path();
     fs::write(model.join("images.txt"), "1 1 0 0 0 0 0 0 1 a.png\n\n").unwrap();
     fs::write(model.join("cameras.txt"), "1 OPENCV_FISHEYE 240 240 70 70 120 120 0.1\n").unwrap();
-    assert_malformed_capture(model, &["cameras.txt", "PARAMS[5]", "expected a number"]);
+    assert_format_error(model, &["cameras.txt", "PARAMS[5]", "expected a number"]);
     fs::write(model.join("cameras.txt"), "1 EQUIRECTANGULAR 240 240 240 240\n").unwrap();
-    assert_malformed_capture(model, &["cameras.txt", "240x240", "twice as wide as high"]);
-}
-
-#[track_caller]
-fn assert_malformed_capture(path: &Path, parts: &[&str]) {
-    super::assert_format_error(path, parts);
+    assert_format_error(model, &["cameras.txt", "240x240", "twice as wide as high"]);
 }
 
 /// Lenses of the interface keep their views.

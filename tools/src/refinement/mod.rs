@@ -131,9 +131,8 @@ pub fn refine(
 }
 
 fn progress_message(at: &RefineProgress<'_>) -> String {
-    let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
     let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
-    format!("refine{loss}{psnr}")
+    format!("refine, loss {:.4}{psnr}", at.loss)
 }
 
 /// `to_world` maps the scene to the cameras' world.

@@ -111,7 +111,7 @@ impl Watched {
         let mut now = self.now();
         (now.step, now.steps) = (at.step, at.steps);
         now.seconds_left = at.eta.as_secs_f64();
-        now.losses.extend(at.loss);
+        now.losses.push(at.loss);
         if at.psnr != now.psnr.last().map(|(_, psnr)| *psnr) {
             now.psnr.extend(at.psnr.map(|psnr| (at.step, psnr)));
         }

@@ -5,11 +5,11 @@
 //! component, 10 for each other); red, green, blue and opacity (8 bits each). The optional element
 //! `sh` has a byte per coefficient above degree 0.
 
-use std::f32::consts::{FRAC_1_PI, SQRT_2};
+use std::f32::consts::SQRT_2;
 
 use rayon::prelude::*;
 
-use super::super::Scene;
+use super::super::{SH_0, Scene};
 use super::table::{Column, Parsed, Ply, Table};
 use crate::scalar::Scalar;
 
@@ -48,8 +48,7 @@ pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
             *gaussian.quat = quat(rotation);
             let [opacity, blue, green, red] = color.to_le_bytes().map(|level| f32::from(level) / 255.0);
             *gaussian.opacity = opacity;
-            let sh_constant = 0.5 * FRAC_1_PI.sqrt();
-            gaussian.sh[0] = within(&range.colors, [red, green, blue]).map(|value| (value - 0.5) / sh_constant);
+            gaussian.sh[0] = within(&range.colors, [red, green, blue]).map(|value| (value - 0.5) / SH_0);
         });
         Ok(())
     })?;

@@ -157,10 +157,10 @@ impl Run {
         &self.plan
     }
 
-    /// Writes a tensor from its start.
+    /// Writes a tensor of this plan from its start.
     ///
     /// # Panics
-    /// For data longer than the tensor, or another plan's tensor.
+    /// For data longer than the tensor.
     pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
@@ -177,7 +177,7 @@ impl Run {
     /// Reads an output.
     ///
     /// # Panics
-    /// If the tensor is no output of this plan, the run is in flight or another used the lane.
+    /// If the tensor is no output, the run is in flight or another used the lane.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
         assert!(!self.in_flight, "read before finish");

@@ -70,7 +70,7 @@ impl Run {
     /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`].
     ///
     /// # Panics
-    /// If the tensor is not an output of this plan.
+    /// If the tensor is no output, or another run used the lane.
     pub fn present(&mut self, tensor: Tensor, target: &Target) -> Result<()> {
         let handle = match target.place {
             Place::Image(place) => place.image,

@@ -167,7 +167,7 @@ impl GradientPlan {
         let Memory { resident, scene, .. } = memory;
         let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", 1);
-        let values = options.channels() * shape.width as usize * shape.height as usize;
+        let values = options.channels() * shape.pixels();
         let d_frames = rec.input::<f32>("d_frames", values);
         let d_cameras = wanted.cameras.then(|| rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1));
         d_cameras.iter().for_each(|tensor| rec.fill(*tensor, 0));

@@ -100,7 +100,7 @@ pub(crate) fn record_pictures(
         let runs = if rec.limits().cpu { TILE * TILE / lanes } else { (GPU_PIXELS / lanes).max(1) };
         let [x, y] = shape.grid();
         let groups = [x * (TILE * TILE / (lanes * runs)), y, 1];
-        let pixels = shape.width as usize * shape.height as usize;
+        let pixels = shape.pixels();
         let flops = 2 * (capacity * VECTOR * VECTORS_AT_ONCE) as u64 * u64::from(TILE * TILE);
         let draw = |features: &Tensor| {
             let pictures = rec.tensor::<[f32; VECTOR]>("pictures", pixels * VECTORS_AT_ONCE);

@@ -96,6 +96,10 @@ fn draw(
 }
 
 impl FrameShape {
+    pub(crate) fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
     fn grid(&self) -> [u32; 2] {
         [self.width.div_ceil(TILE), self.height.div_ceil(TILE)]
     }

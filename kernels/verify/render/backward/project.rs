@@ -11,13 +11,12 @@ use zipsplat::{
 };
 use zipsplat_reference::render::{
     backward::{OneGradient, of_splat},
-    project::{Gaussians, Splat, project},
+    project::{EPS_2D, Gaussians, Splat, project},
 };
 
 const REASON: &str = "running error analysis of the kernel, formula by formula; the truth, of differences of fourth order in f64, is \
     allowed a thousandth of that, and 1e-7 of the longest of its row";
 
-const BLUR: f64 = 0.3;
 /// Center, standard deviations, quaternion, opacity.
 const VALUES: usize = 11;
 const CAMERA: usize = 10;
@@ -110,7 +109,7 @@ impl Problem {
         let held = [0, 1].map(|axis| slope[axis].value != free[axis].value && !is(Fault::Unheld));
         let scale = self.scene.scales[n].map(Bounded::exact);
         let [u, v] = along.map(|along| [0, 1, 2].map(|c| along[c] * scale[c]));
-        let blur = Bounded::rounded(if is(Fault::NoBlur) { 0.0 } else { BLUR });
+        let blur = Bounded::rounded(if is(Fault::NoBlur) { 0.0 } else { EPS_2D });
         let minors = cross(u, v);
         let m = plus(cross(v, minors), times(blur, u)).map(|x| x / (Bounded::dot(v, v) + blur));
         let (ee, ey, yy) = (a * (a * gee), a * (p_conic * gey), p_conic * (p_conic * gyy));
@@ -119,7 +118,7 @@ impl Problem {
         if self.antialiased && !is(Fault::NoCompensation) {
             let sharp = Bounded::dot(minors, minors);
             let [dual_u, dual_v] = [cross(v, minors), cross(minors, u)].map(|dual| dual.map(|x| x / sharp));
-            let by = Bounded::rounded(BLUR) * g;
+            let by = Bounded::rounded(EPS_2D) * g;
             let across = times(by * a, minus(dual_u, times(k, dual_v)));
             d_u = plus(d_u, across);
             d_v = plus(d_v, minus(times(by * p_conic, dual_v), times(k, across)));

@@ -6,6 +6,7 @@ use zipsplat::{
 use zipsplat_reference::render::{
     backward::{Ellipse, through_pixel},
     project::MIN_ALPHA,
+    rasterize::{MAX_ALPHA, MIN_TRANSMITTANCE},
 };
 
 const REASON: &str = "running error analysis of blending and of what lies behind each splat, pixel by pixel, then gamma_256 of a tile's \
@@ -13,8 +14,6 @@ const REASON: &str = "running error analysis of blending and of what lies behind
 
 pub(crate) const WIDTH: u32 = 40;
 pub(crate) const HEIGHT: u32 = 23;
-const MAX_ALPHA: f64 = 0.999;
-const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
 /// Pixels outside the picture where splats start to use their ridge.
 const FAR_OFF: f32 = 256.0;

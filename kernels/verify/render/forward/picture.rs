@@ -5,16 +5,13 @@ use glam::DVec3;
 use rayon::prelude::*;
 use zipsplat::types::{Camera, Scene};
 use zipsplat_reference::render::{
-    project::{self, Gaussians, MIN_ALPHA},
-    rasterize::{self, Rendering},
+    project::{self, EPS_2D, Gaussians, MIN_ALPHA},
+    rasterize::{self, MAX_ALPHA, MIN_TRANSMITTANCE, Rendering},
 };
 
 /// As in kernels/shared/splat.glsl and kernels/render/project.comp.
-const BLUR: f64 = 0.3;
 const FAR_OFF: f64 = 256.0;
 const LONG: f64 = 1e8;
-const MAX_ALPHA: f64 = 0.999;
-const MIN_TRANSMITTANCE: f64 = 1e-4;
 
 /// Bounds of red, green, blue, alpha, depth.
 pub type PixelBounds = [f64; 5];
@@ -111,13 +108,13 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
     }
     let scaled = |x: Bounded| unit.map_or(x, |unit| x * unit);
     let minors = [[1, 2], [2, 0], [0, 1]].map(|[a, b]| u[a] * v[b] - u[b] * v[a]);
-    let (blur, sharp) = (scaled(Bounded::rounded(BLUR)), Bounded::dot(minors, minors));
+    let (blur, sharp) = (scaled(Bounded::rounded(EPS_2D)), Bounded::dot(minors, minors));
     let trace = Bounded::dot(u, u) + Bounded::dot(v, v);
     let det = sharp + blur * trace + blur * blur;
     let (xy, yy) = (Bounded::dot(u, v), Bounded::dot(v, v) + blur);
     let place = [0, 1].map(|a| focal[a] * p[a] / p[2] + principal[a]);
     let beyond = far_off(place, [i.width, i.height].map(f64::from));
-    // v v + BLUR of the more precise v, when the place is on the ridge: a few roundings.
+    // v v + EPS_2D of the more precise v, when the place is on the ridge: a few roundings.
     let yy = if beyond == [false; 2] { yy } else { Bounded { value: yy.value, error: 24.0 * U * yy.value } };
     let opacity = Bounded::exact(scene.opacities[n]);
     let splat = Splat {

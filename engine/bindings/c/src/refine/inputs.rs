@@ -157,7 +157,7 @@ fn of(now: &RefineProgress<'_>) -> zs_progress {
         fraction: now.step as f64 / now.steps.max(1) as f64,
         step: now.step,
         steps: now.steps,
-        loss: now.loss.map_or(f64::NAN, f64::from),
+        loss: now.loss.into(),
         psnr: now.psnr.unwrap_or(f64::NAN),
         eta_seconds: now.eta.as_secs_f64(),
         ..Versioned::new()
