@@ -75,7 +75,7 @@ pub struct Capture {
     /// `[views][height][width]` z at pixel centers; 0 in the sky.
     pub depths: Vec<Vec<f32>>,
     /// `[views][height][width]` surface at pixel centers: its rank by visible pixels in all views,
-    /// or [`OTHER`].
+    /// or 255 for sky and others.
     pub labels: Vec<Vec<u8>>,
     /// `[views][views]`: share of the first view's surfaces visible in the second.
     pub overlap: Vec<f32>,
