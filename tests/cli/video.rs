@@ -35,7 +35,7 @@ fn videos_become_their_sharpest_frames() {
     let made: Vec<String> = folder.names().into_iter().filter(|name| !before.contains(name)).collect();
     assert_eq!(made, ["ffmpeg.args", "scene.ply"]);
     let args = folder.text("ffmpeg.args");
-    assert!(args.contains("select='eq(n,1)+eq(n,2)+eq(n,4)'"), "{args}");
+    assert!(args.contains("select='(eq(n,1)+(eq(n,2)+eq(n,4)))'"), "{args}");
     colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
     let camera = zipsplat_tests::scenes::camera(16, 8);
     let moved = Camera { pose: zipsplat::types::Pose { rotation: DMat3::IDENTITY, translation: DVec3::X }, ..camera };

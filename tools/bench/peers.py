@@ -163,7 +163,8 @@ def opensplat(args, capture, ours, folder):
             print(f"{capture.name}: {reached} of {steps} steps in {cpu:.0f} of {limit} CPU seconds", file=sys.stderr)
             if saved == steps and cpu >= 0.9 * limit:
                 break
-            steps = max(20, round(0.95 * reached * limit / cpu))
+            # Later steps are slower: the scene and the photos grow.
+            steps = max(20, round(0.95 * reached * (limit / cpu) ** 0.8))
         if not scene:
             sys.exit(f"{args.opensplat} saved no scene in {limit} CPU seconds")
         said, _ = evaluate(args, capture, folder, "--scene", scene, "--scene-frame", "input-cameras", "--drop-invalid")
