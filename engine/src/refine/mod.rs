@@ -9,6 +9,7 @@ mod exposure;
 mod free_space;
 mod gaussians;
 mod growth;
+mod length;
 mod options;
 mod photos;
 mod plan;
@@ -39,33 +40,18 @@ use checkpoint::{hashed, hashed_scene, identity};
 use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
+use length::{grown_len, size_in_time, sizes, steps_with_growth};
 use photos::PhotoCache;
 use refinement::{Refinement, Saving};
 use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
 };
-use views::fitted;
 
 /// Fewest photos with a held-out one by default: fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
-/// Fewest steps with growth by default.
-const GROWTH_FROM: usize = 50;
 /// Limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
-/// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
-const PIXELS_PER_GAUSSIAN: f64 = 32.0;
-const MOST_GROWTH: f64 = 16.0;
-/// Steps between which these limits allow Gaussians in proportion to the square root of the steps:
-/// fewer Gaussians would stop gaining detail.
-const DETAIL: [usize; 2] = [200, 800];
-/// Growth by a factor makes the mean step slower by this power of it.
-const GROWTH_COST: f64 = 0.42;
-/// Additional power for the steps' part of the factor.
-const DETAIL_COST: f64 = 0.35;
-/// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
-const ENOUGH_STEPS: u32 = 150;
-const SHORTEST: u32 = 240;
 const SAMPLE: usize = 4096;
 
 /// Progress of a refinement.
@@ -198,25 +184,6 @@ pub fn refine_tokens(
     run(arena, (&make, &hash), None, &photos, cameras, options, progress)
 }
 
-/// Number of Gaussians that a scene of `len` grows to, if it grows.
-fn grown_len(
-    options: &RefineOptions,
-    steps: usize,
-    len: usize,
-    sizes: impl Iterator<Item = [u32; 2]>,
-) -> Option<usize> {
-    let default = || {
-        let pixels: f64 = sizes.map(|[width, height]| f64::from(width) * f64::from(height)).sum();
-        let most = (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len as f64);
-        (steps >= GROWTH_FROM).then_some((detail(steps) * most) as usize)
-    };
-    options.max_gaussians.or_else(default).filter(|most| *most > len)
-}
-
-fn detail(steps: usize) -> f64 {
-    (steps.clamp(DETAIL[0], DETAIL[1]) as f64 / DETAIL[0] as f64).sqrt()
-}
-
 fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
     let refused =
         |most| Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs");
@@ -249,15 +216,13 @@ fn run(
         PhotoCache::new(photos, options.max_image_size, options.coarse_to_fine, options.max_photo_bytes, depth)
     };
     let mut cached = cache(&options);
-    let refinement = |options: RefineOptions, steps: usize, cached| {
+    let of = |cameras: &[Camera], options: RefineOptions, steps: usize, cached| {
         let (gaussians, scene) = make(&arena, &options)?;
         Refinement::new(gaussians, scene, cached, cameras, options, steps)
     };
+    let refinement = |options: RefineOptions, steps: usize, cached| of(cameras, options, steps, cached);
     let grow = |options: &RefineOptions, steps: usize| {
         len.and_then(|len| grown_len(options, steps, len, sizes(photos, options.max_image_size, 1)))
-    };
-    let probe = |options: &RefineOptions, cached| {
-        refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1, cached)
     };
     let mut saving = match &options.checkpoint {
         Some(checkpoint) => {
@@ -275,9 +240,20 @@ fn run(
         cached = cache(&options);
         return refinement(options, steps, cached)?.finish(&mut progress, begin, Some(saving), Some(state));
     }
+    let mut step = Duration::ZERO;
+    if let RefineLength::Time(time) = options.length {
+        let given = RefineOptions { max_gaussians: None, holdout_views: Some(0), ..options.clone() };
+        let time_step = |max_image_size: Option<[u32; 2]>| {
+            let options = RefineOptions { max_image_size, ..given.clone() };
+            // Opens only the photos of a step.
+            of(&cameras[..options.views_per_step], options.clone(), 1, cache(&options))?.time_step()
+        };
+        (options.max_image_size, step) = size_in_time(photos, given.max_image_size, time, time_step)?;
+        cached = cache(&options);
+    }
     let may_grow = options.max_gaussians.is_none() && grow(&options, options.length.most_steps()).is_some();
     if may_grow {
-        let mut probe = probe(&options, cached)?;
+        let mut probe = refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1, cached)?;
         if probe.training_psnr()? >= GROWTH_BELOW {
             options.max_gaussians = Some(0);
         }
@@ -286,51 +262,14 @@ fn run(
     let steps = match options.length {
         RefineLength::Steps(steps) => steps,
         RefineLength::Time(time) => {
-            let step = loop {
-                let mut probe = probe(&options, cached)?;
-                let step = probe.time_step()?;
-                match half_size(photos, options.max_image_size) {
-                    Some(half) if step * ENOUGH_STEPS > time => {
-                        options.max_image_size = Some(half);
-                        cached = cache(&options);
-                    }
-                    _ => {
-                        cached = probe.photos;
-                        break step;
-                    }
-                }
-            };
-            let left = time.saturating_sub(begin.elapsed());
+            // Opening large photos may take long: at least half of the time is for steps.
+            let left = time.saturating_sub(begin.elapsed()).max(time / 2);
             steps_with_growth(left.as_secs_f64() / step.as_secs_f64(), len, |steps| grow(&options, steps))
         }
     };
     options.max_gaussians = grow(&options, steps);
     saving.iter_mut().for_each(|saving| saving.plan(steps, &options));
     refinement(options, steps, cached)?.finish(&mut progress, begin, saving.as_mut(), None)
-}
-
-fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>, factor: u32) -> impl Iterator<Item = [u32; 2]> {
-    (0..photos.count()).map(move |i| fitted(photos.size(i), most, factor))
-}
-
-fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Option<usize>) -> usize {
-    let cost = |steps: usize| {
-        let factor = grow(steps).zip(len).map(|(most, len)| most as f64 / len as f64);
-        factor.map_or(1.0, |factor| factor.powf(GROWTH_COST) * detail(steps).powf(DETAIL_COST))
-    };
-    let (mut fits, mut too_many) = (1, steps as usize + 1);
-    while too_many > fits + 1 {
-        let middle = fits.midpoint(too_many);
-        let end = if middle as f64 * cost(middle) <= steps { &mut fits } else { &mut too_many };
-        *end = middle;
-    }
-    fits
-}
-
-/// Half the largest photo's size within `most`, unless too small.
-fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
-    let largest = sizes(photos, most, 2).max_by_key(|[width, height]| width * height);
-    largest.filter(|half| half.iter().all(|side| *side >= SHORTEST))
 }
 
 fn filled(options: &RefineOptions, count: usize) -> Result<RefineOptions> {
@@ -351,31 +290,4 @@ fn distance(scene: &Scene, cameras: &[Camera]) -> f64 {
         median(pairs.map(|(camera, point)| camera.pose.translation.distance(point)))
     };
     to(true).or_else(|| to(false)).filter(|distance| *distance > 0.0).unwrap_or(1.0)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn growth_leaves_time_for_fewer_steps() {
-        let grow = |steps: usize| (steps >= GROWTH_FROM).then_some(400);
-        // Four times the Gaussians make a step 1.79 times slower.
-        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 479)] {
-            assert_eq!(steps_with_growth(steps, Some(100), grow), grown, "{steps}");
-            assert_eq!(steps_with_growth(steps, None, |_| None), steps.max(1.0) as usize);
-        }
-    }
-
-    #[test]
-    fn more_steps_allow_more_gaussians() {
-        let grown =
-            |steps: usize, len: usize| grown_len(&RefineOptions::default(), steps, len, [[320, 100]; 2].into_iter());
-        assert_eq!(
-            [49, 50, 200, 450, 800, 9999].map(|steps| grown(steps, 500)),
-            [None, Some(2000), Some(2000), Some(3000), Some(4000), Some(4000)]
-        );
-        assert_eq!([200, 800].map(|steps| grown(steps, 10)), [Some(160), Some(320)]);
-        assert_eq!([200, 800].map(|steps| grown(steps, 2000)), [None, Some(4000)]);
-    }
 }

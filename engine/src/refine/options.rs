@@ -1,4 +1,4 @@
-use super::{DETAIL, RefineCheckpoint};
+use super::{RefineCheckpoint, length::DETAIL};
 use crate::stages::{depth_loss::DepthKind, loss::Loss, lpips::LpipsNetwork};
 use std::time::Duration;
 

@@ -1,7 +1,7 @@
 use super::{
     Adam, Exposure, RefineOptions, Space, filled,
     gaussians::{batch_size, max_batch, scene_gradients, scene_tensors},
-    grown_len,
+    length::grown_len,
     planned::{Training, record_photos},
     record_adam,
     schedule::Schedule,

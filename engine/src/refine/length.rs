@@ -1,0 +1,138 @@
+//! Defaults that follow from a length: number of Gaussians, steps and size of the photos.
+
+use super::{Photos, RefineOptions, views::fitted};
+use crate::Result;
+use std::{iter::successors, time::Duration};
+
+/// Fewest steps with growth by default.
+const GROWTH_FROM: usize = 50;
+/// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
+const PIXELS_PER_GAUSSIAN: f64 = 32.0;
+const MOST_GROWTH: f64 = 16.0;
+/// Steps between which these limits allow Gaussians in proportion to the square root of the steps:
+/// fewer Gaussians would stop gaining detail.
+pub(super) const DETAIL: [usize; 2] = [200, 800];
+/// Growth by a factor makes the mean step slower by this power of it.
+const GROWTH_COST: f64 = 0.42;
+/// Additional power for the steps' part of the factor.
+const DETAIL_COST: f64 = 0.35;
+/// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
+const ENOUGH_STEPS: u32 = 240;
+const SHORTEST: u32 = 240;
+
+/// Number of Gaussians that a scene of `len` grows to, if it grows.
+pub(super) fn grown_len(
+    options: &RefineOptions,
+    steps: usize,
+    len: usize,
+    sizes: impl Iterator<Item = [u32; 2]>,
+) -> Option<usize> {
+    let default = || {
+        let pixels: f64 = sizes.map(|[width, height]| f64::from(width) * f64::from(height)).sum();
+        let most = (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len as f64);
+        (steps >= GROWTH_FROM).then_some((detail(steps) * most) as usize)
+    };
+    options.max_gaussians.or_else(default).filter(|most| *most > len)
+}
+
+fn detail(steps: usize) -> f64 {
+    (steps.clamp(DETAIL[0], DETAIL[1]) as f64 / DETAIL[0] as f64).sqrt()
+}
+
+pub(super) fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>, factor: u32) -> impl Iterator<Item = [u32; 2]> {
+    (0..photos.count()).map(move |i| fitted(photos.size(i), most, factor))
+}
+
+pub(super) fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Option<usize>) -> usize {
+    let cost = |steps: usize| {
+        let factor = grow(steps).zip(len).map(|(most, len)| most as f64 / len as f64);
+        factor.map_or(1.0, |factor| factor.powf(GROWTH_COST) * detail(steps).powf(DETAIL_COST))
+    };
+    let (mut fits, mut too_many) = (1, steps as usize + 1);
+    while too_many > fits + 1 {
+        let middle = fits.midpoint(too_many);
+        let end = if middle as f64 * cost(middle) <= steps { &mut fits } else { &mut too_many };
+        *end = middle;
+    }
+    fits
+}
+
+/// Returns the largest limit of the photos' size, `most` or halved, with enough steps in `time`, and
+/// the time of a step.
+pub(super) fn size_in_time(
+    photos: &dyn Photos,
+    most: Option<[u32; 2]>,
+    time: Duration,
+    time_step: impl Fn(Option<[u32; 2]>) -> Result<Duration>,
+) -> Result<(Option<[u32; 2]>, Duration)> {
+    let halves: Vec<_> = successors(Some(most), |most| half_size(photos, *most).map(Some)).collect();
+    // The smallest first: a step with the largest may take all the time.
+    let mut rising = halves.into_iter().rev();
+    let mut size = rising.next().unwrap_or(most);
+    let mut step = time_step(size)?;
+    let enough = |step: Duration| step * ENOUGH_STEPS <= time;
+    for larger in rising {
+        // Twice the size takes at least twice as long.
+        let longer = if enough(2 * step) { time_step(larger)? } else { break };
+        if !enough(longer) {
+            break;
+        }
+        (size, step) = (larger, longer);
+    }
+    Ok((size, step))
+}
+
+/// Half the largest photo's size within `most`, unless too small.
+fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
+    let largest = sizes(photos, most, 2).max_by_key(|[width, height]| width * height);
+    largest.filter(|half| half.iter().all(|side| *side >= SHORTEST))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::types::Image;
+
+    #[test]
+    fn growth_leaves_time_for_fewer_steps() {
+        let grow = |steps: usize| (steps >= GROWTH_FROM).then_some(400);
+        // Four times the Gaussians make a step 1.79 times slower.
+        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 479)] {
+            assert_eq!(steps_with_growth(steps, Some(100), grow), grown, "{steps}");
+            assert_eq!(steps_with_growth(steps, None, |_| None), steps.max(1.0) as usize);
+        }
+    }
+
+    #[test]
+    fn photos_are_as_large_as_enough_steps_allow() {
+        let photos = [Image::new(1600, 1000, vec![0; 3 * 1600 * 1000]).expect("a photo")];
+        let chosen = |seconds: u64| {
+            let timed = std::cell::Cell::new(0);
+            // A millisecond a thousand pixels.
+            let time_step = |most: Option<[u32; 2]>| {
+                timed.set(timed.get() + 1);
+                let [width, height] = fitted([1600, 1000], most, 1).map(u64::from);
+                Ok(Duration::from_micros(width * height))
+            };
+            let size = size_in_time(&photos, Some([2000, 1600]), Duration::from_secs(seconds), time_step);
+            (size.expect("a size").0.expect("a limit"), timed.get())
+        };
+        assert_eq!(chosen(1), ([400, 250], 1));
+        // 240 steps at 800 x 500 take 96 s.
+        assert_eq!(chosen(95), ([400, 250], 2));
+        assert_eq!(chosen(97), ([800, 500], 2));
+        assert_eq!(chosen(1000), ([2000, 1600], 3));
+    }
+
+    #[test]
+    fn more_steps_allow_more_gaussians() {
+        let grown =
+            |steps: usize, len: usize| grown_len(&RefineOptions::default(), steps, len, [[320, 100]; 2].into_iter());
+        assert_eq!(
+            [49, 50, 200, 450, 800, 9999].map(|steps| grown(steps, 500)),
+            [None, Some(2000), Some(2000), Some(3000), Some(4000), Some(4000)]
+        );
+        assert_eq!([200, 800].map(|steps| grown(steps, 10)), [Some(160), Some(320)]);
+        assert_eq!([200, 800].map(|steps| grown(steps, 2000)), [None, Some(4000)]);
+    }
+}
