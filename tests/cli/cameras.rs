@@ -339,7 +339,7 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     first.or_else(|why| tries.find_map(Result::ok).ok_or(why)).expect("cameras near the true ones");
 }
 
-/// Median deviations of all pairs of cameras: angles in degrees, distances relative to their median.
+/// Median deviations over pairs of cameras: degrees, and distances relative to their median.
 fn deviations(found: &[CaptureView], truth: &[CaptureView]) -> (f64, f64) {
     let stem = |frame: &CaptureView| Path::new(&frame.name).file_stem().map(ToOwned::to_owned);
     let true_camera =

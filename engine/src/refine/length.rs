@@ -57,8 +57,8 @@ pub(super) fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(us
     fits
 }
 
-/// Returns the largest limit of the photos' size, `most` or halved, with enough steps in `time`, and
-/// the time of a step.
+/// Returns the largest limit of the photos' size, `most` or halved, that allows enough steps in
+/// `time`, and the time of a step.
 pub(super) fn size_in_time(
     photos: &dyn Photos,
     most: Option<[u32; 2]>,
