@@ -83,7 +83,8 @@ class Pool:
         self.ready, self.free = queue.Queue(), queue.Queue()
         for _ in range(64 if self.device.type == "cuda" else 4):
             self.free.put((self.columns(self.block, pin_memory=self.device.type == "cuda"), None))
-        threading.Thread(target=self.read, daemon=True).start()
+        self.reader = threading.Thread(target=self.read, daemon=True)
+        self.reader.start()
 
     def columns(self, count, **options):
         fields = ((name, *self.shards.record[name].subdtype) for name in self.FIELDS)
@@ -94,6 +95,8 @@ class Pool:
         count = self.block
         while count == self.block:
             columns, copied = self.free.get()
+            if columns is None:
+                return
             if copied is not None:
                 copied.synchronize()
             try:
@@ -126,6 +129,12 @@ class Pool:
         self.last_seed = seed if count else self.last_seed
         self.free.put((columns, copied))
         return count
+
+    def close(self):
+        """Ends the stream and its thread: PyTorch aborts threads that outlive the interpreter."""
+        self.shards.close()
+        self.free.put((None, None))
+        self.reader.join()
 
     def filled(self):
         return min(self.taken, self.capacity)

@@ -97,7 +97,7 @@ class Trainer:
             unseen = self.stream(UNSEEN_SEED, SCENES, unseen=True)
             self.evaluated = Pool(unseen, SCENES, self.device)
             self.evaluated.fill(SCENES)
-            unseen.close()
+            self.evaluated.close()
 
     def stream(self, seed, scenes, unseen=False):
         """Opens a stream of `scenes` records (0: endless), generated or from photos."""
@@ -228,7 +228,7 @@ class Trainer:
                 self.started += time.perf_counter() - pause
                 saved = self.elapsed
         self.save()
-        self.shards.close()
+        self.pool.close()
         if self.processes > 1:
             dist.destroy_process_group()
 
