@@ -48,6 +48,7 @@ def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, pho
     kept = depth_model.predict(photos[:1], input_size=SIDE, keep_features=True)
     assert found.patch_tokens is None and kept.patch_tokens is not None
     assert kept.patch_tokens.shape == (1, camera.height // 14, camera.width // 14, kept.patch_tokens.shape[3])
+    scene = kept.to_scene(max_gaussians_per_patch=2)
     features, _ = scene.lift(list(kept.patch_tokens), [camera])
     assert features.shape == (len(scene.means), kept.patch_tokens.shape[3]) and np.abs(features).max() > 0
     # Arrays outlive their object.
