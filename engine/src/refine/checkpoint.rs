@@ -21,7 +21,7 @@ const VERSION_KEY: &str = "version";
 const REMEDY: &str = "; delete the file to start over";
 const VERSION: &str = concat!("1 of zipsplat ", env!("CARGO_PKG_VERSION"));
 
-/// Checkpoint file, from which a refinement continues if it exists.
+/// Checkpoint file; a refinement resumes from an existing one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineCheckpoint {
     /// Safetensors file, replaced atomically and kept after the refinement.

@@ -215,12 +215,10 @@ fn run(
         let depth = options.depth_loss.map(|loss| loss.kind);
         PhotoCache::new(photos, options.max_image_size, options.coarse_to_fine, options.max_photo_bytes, depth)
     };
-    let mut cached = cache(&options);
-    let of = |cameras: &[Camera], options: RefineOptions, steps: usize, cached| {
+    let refinement = |cameras: &[Camera], options: RefineOptions, steps: usize, cached| {
         let (gaussians, scene) = make(&arena, &options)?;
         Refinement::new(gaussians, scene, cached, cameras, options, steps)
     };
-    let refinement = |options: RefineOptions, steps: usize, cached| of(cameras, options, steps, cached);
     let grow = |options: &RefineOptions, steps: usize| {
         len.and_then(|len| grown_len(options, steps, len, sizes(photos, options.max_image_size, 1)))
     };
@@ -237,23 +235,24 @@ fn run(
         let checkpoint = saving.checkpoint.clone();
         let mut state = checkpoint.open(&bytes, &saving.identity)?;
         let steps = saving.restore(&mut state, &mut options)?;
-        cached = cache(&options);
-        return refinement(options, steps, cached)?.finish(&mut progress, begin, Some(saving), Some(state));
+        let cached = cache(&options);
+        return refinement(cameras, options, steps, cached)?.finish(&mut progress, begin, Some(saving), Some(state));
     }
     let mut step = Duration::ZERO;
     if let RefineLength::Time(time) = options.length {
-        let given = RefineOptions { max_gaussians: None, holdout_views: Some(0), ..options.clone() };
         let time_step = |max_image_size: Option<[u32; 2]>| {
-            let options = RefineOptions { max_image_size, ..given.clone() };
+            let timed =
+                RefineOptions { max_image_size, max_gaussians: None, holdout_views: Some(0), ..options.clone() };
             // Opens only the photos of a step.
-            of(&cameras[..options.views_per_step], options.clone(), 1, cache(&options))?.time_step()
+            let (cached, cameras) = (cache(&timed), &cameras[..timed.views_per_step]);
+            refinement(cameras, timed, 1, cached)?.time_step()
         };
-        (options.max_image_size, step) = size_in_time(photos, given.max_image_size, time, time_step)?;
-        cached = cache(&options);
+        (options.max_image_size, step) = size_in_time(photos, options.max_image_size, time, time_step)?;
     }
+    let mut cached = cache(&options);
     let may_grow = options.max_gaussians.is_none() && grow(&options, options.length.most_steps()).is_some();
     if may_grow {
-        let mut probe = refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1, cached)?;
+        let mut probe = refinement(cameras, RefineOptions { max_gaussians: None, ..options.clone() }, 1, cached)?;
         if probe.training_psnr()? >= GROWTH_BELOW {
             options.max_gaussians = Some(0);
         }
@@ -269,7 +268,7 @@ fn run(
     };
     options.max_gaussians = grow(&options, steps);
     saving.iter_mut().for_each(|saving| saving.plan(steps, &options));
-    refinement(options, steps, cached)?.finish(&mut progress, begin, saving.as_mut(), None)
+    refinement(cameras, options, steps, cached)?.finish(&mut progress, begin, saving.as_mut(), None)
 }
 
 fn filled(options: &RefineOptions, count: usize) -> Result<RefineOptions> {
