@@ -8,7 +8,8 @@ use rayon::prelude::*;
 
 /// Cells of a side of a picture.
 const CELLS: usize = 24;
-/// Least depth relative to the least initial one around a cell.
+/// Least depth relative to the least initial one around a cell, and least distance from a place
+/// relative to that of its `ENOUGH`th nearest initial Gaussian.
 const RATIO: f64 = 0.3;
 /// Fewest initial Gaussians around a cell, and the quantile of all depths for fewer.
 const ENOUGH: usize = 8;
@@ -23,10 +24,13 @@ const BETWEEN: [f64; 2] = [0.3, 0.5];
 const NEAREST: usize = 3;
 const MAX_CAMERAS: usize = 64;
 
-/// Places of cameras and between them, with the least depth by cell of their pictures.
+/// Places of cameras and between them.
 pub(super) struct FreeSpace {
     places: Vec<Place>,
+    /// Least depths by cell of the places' pictures.
     depths: Vec<Depths>,
+    /// Least distances from the places, in any direction: cameras beside them turn elsewhere.
+    distances: Vec<f64>,
     /// Initial Gaussians around a place, such as a background's.
     around: Vec<bool>,
 }
@@ -44,12 +48,13 @@ impl FreeSpace {
         let places = places(cameras);
         let depths = places.par_iter().map(|place| least_depths(scene, &place.camera(cameras))).collect();
         let centers: Vec<DVec3> = places.iter().map(|place| place.camera(cameras).pose.translation).collect();
+        let distances = centers.par_iter().map(|center| RATIO * nearest(scene, *center)).collect();
         let around = (0..scene.len()).into_par_iter().map(|i| contains(scene, i, &centers)).collect();
-        Self { places, depths, around }
+        Self { places, depths, distances, around }
     }
 
     /// Pushes floaters back to the initial scene's depth, where they look alike to their camera.
-    /// Makes those around or very near a camera invisible. Returns their indices. `cameras` are
+    /// Makes those around or near a camera that it does not see invisible. Returns their indices. `cameras` are
     /// those of [`FreeSpace::new`], moved or not.
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
@@ -62,6 +67,10 @@ impl FreeSpace {
             };
             compared.iter().zip(&self.depths).find_map(factor)
         };
+        let is_near = |i: usize| {
+            let [mean, _] = row(scene, i);
+            centers.iter().zip(&self.distances).any(|(center, least)| center.distance(mean) < *least)
+        };
         let floater = |i: usize| {
             let is_new = !self.around.get(i).is_some_and(|around| *around);
             if scene.opacities[i] <= INVISIBLE {
@@ -69,7 +78,7 @@ impl FreeSpace {
             } else if is_new && contains(scene, i, &centers) {
                 Some((i, None))
             } else {
-                pushed(&scene.means[i]).map(|push| (i, Some(push)))
+                pushed(&scene.means[i]).map(|push| (i, Some(push))).or_else(|| is_near(i).then_some((i, None)))
             }
         };
         let floaters: Vec<_> = (0..scene.len()).into_par_iter().filter_map(floater).collect();
@@ -115,6 +124,12 @@ fn contains(scene: &Scene, i: usize, centers: &[DVec3]) -> bool {
     let axes = matrix_from_quaternion(scene.quats[i].map(f64::from)).transpose();
     let [mean, scales] = row(scene, i);
     centers.iter().any(|center| (axes * (*center - mean) / scales).length_squared() < INSIDE * INSIDE)
+}
+
+/// Distance of the `ENOUGH`th nearest Gaussian, or 0.
+fn nearest(scene: &Scene, center: DVec3) -> f64 {
+    let mut distances: Vec<f64> = (0..scene.len()).map(|i| center.distance(row(scene, i)[0])).collect();
+    if distances.len() < ENOUGH { 0.0 } else { *distances.select_nth_unstable_by(ENOUGH - 1, f64::total_cmp).1 }
 }
 
 fn least_depths(scene: &Scene, camera: &Camera) -> Depths {
@@ -198,6 +213,16 @@ mod tests {
         given.scales[1] = [0.1; 3];
         assert_eq!(free_space.clear(&mut given, &cameras), [1]);
         assert_eq!(given.opacities, [0.0, 0.0, 0.5, 0.5]);
+    }
+
+    #[test]
+    fn gaussians_near_cameras_become_invisible() {
+        let cameras = [camera(0.0), camera(1.0)];
+        let given = scene(vec![[0.5, 0.0, 4.0]; ENOUGH]);
+        // Behind the cameras: within 0.3 of the distance, and farther.
+        let mut moved = scene(vec![[0.5, 0.0, -1.0], [0.5, 0.0, -1.3]]);
+        assert_eq!(FreeSpace::new(&given, &cameras).clear(&mut moved, &cameras), [0]);
+        assert_eq!(moved.opacities, [0.0, 0.5]);
     }
 
     fn camera(x: f64) -> Camera {

@@ -52,6 +52,17 @@ pub enum Matching {
     Sequential,
 }
 
+impl Matching {
+    /// Growth of photos or points after which COLMAP adjusts all of them: its default, and its value
+    /// for videos.
+    fn adjustment_growth(self) -> f64 {
+        match self {
+            Self::Exhaustive => 1.1,
+            Self::Sequential => 1.4,
+        }
+    }
+}
+
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     Features,
@@ -172,49 +183,52 @@ impl Colmap {
         // Temporary files are removed with the folder.
         headless(&mut command).env("TMPDIR", folder);
         if self.python {
-            let words: (_, Vec<u32>) = match (step, pairs) {
-                (Step::Features, _) => ("features", vec![side, FEATURES]),
+            let words: (_, Vec<f64>) = match (step, pairs) {
+                (Step::Features, _) => ("features", vec![side.into(), FEATURES.into()]),
                 (Step::Matches, Matching::Exhaustive) => ("all", Vec::new()),
                 (Step::Matches, Matching::Sequential) => ("near", Vec::new()),
                 (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens }), _) => {
-                    ("cameras", vec![seed, first_angle, first_points, points, refines_lens.into()])
+                    let whole = [seed, first_angle, first_points, points, refines_lens.into()].map(f64::from);
+                    ("cameras", [&whole[..], &[pairs.adjustment_growth()]].concat())
                 }
             };
-            command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(u32::to_string));
+            command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(f64::to_string));
             return Ok(command);
         }
-        let (verb, options): (_, Vec<(&[&str], u32)>) = match (step, pairs) {
+        let (verb, options): (_, Vec<(&[&str], f64)>) = match (step, pairs) {
             (Step::Features, _) => (
                 "feature_extractor",
                 vec![
-                    (&["ImageReader.single_camera_per_folder"], 1),
-                    (&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], 0),
-                    (&["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], side),
-                    (&["SiftExtraction.max_num_features"], FEATURES),
+                    (&["ImageReader.single_camera_per_folder"], 1.0),
+                    (&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], 0.0),
+                    (&["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], side.into()),
+                    (&["SiftExtraction.max_num_features"], FEATURES.into()),
                 ],
             ),
             (Step::Matches, Matching::Exhaustive) => (
                 "exhaustive_matcher",
                 vec![
-                    (&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0),
-                    (&["ExhaustiveMatching.block_size", "ExhaustivePairing.block_size"], BLOCK),
+                    (&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0.0),
+                    (&["ExhaustiveMatching.block_size", "ExhaustivePairing.block_size"], BLOCK.into()),
                 ],
             ),
             (Step::Matches, Matching::Sequential) => {
-                ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0)])
+                ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0.0)])
             }
             // Two-view points matter where photos are few, and initialize refinement.
             (Step::Cameras(mapping), _) => (
                 "mapper",
                 vec![
-                    (&["Mapper.min_model_size"], 2),
-                    (&["Mapper.tri_ignore_two_view_tracks"], 0),
-                    (&["Mapper.random_seed", "default_random_seed", "random_seed"], mapping.seed),
-                    (&["Mapper.init_min_tri_angle"], mapping.first_angle),
-                    (&["Mapper.init_min_num_inliers"], mapping.first_points),
-                    (&["Mapper.abs_pose_min_num_inliers"], mapping.points),
+                    (&["Mapper.min_model_size"], 2.0),
+                    (&["Mapper.tri_ignore_two_view_tracks"], 0.0),
+                    (&["Mapper.random_seed", "default_random_seed", "random_seed"], mapping.seed.into()),
+                    (&["Mapper.init_min_tri_angle"], mapping.first_angle.into()),
+                    (&["Mapper.init_min_num_inliers"], mapping.first_points.into()),
+                    (&["Mapper.abs_pose_min_num_inliers"], mapping.points.into()),
                     (&["Mapper.ba_refine_focal_length"], mapping.refines_lens.into()),
                     (&["Mapper.ba_refine_extra_params"], mapping.refines_lens.into()),
+                    (&["Mapper.ba_global_frames_ratio", "Mapper.ba_global_images_ratio"], pairs.adjustment_growth()),
+                    (&["Mapper.ba_global_points_ratio"], pairs.adjustment_growth()),
                 ],
             ),
         };

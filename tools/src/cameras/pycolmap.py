@@ -17,7 +17,7 @@ def with_sift(side, features):
     return {"sift_options": options}
 
 
-def mapped_with(seed, first_angle, first_points, points, refines_lens):
+def mapped_with(seed, first_angle, first_points, points, refines_lens, adjustment_growth):
     """The options of mapping."""
     pycolmap.set_random_seed(seed)
     options = pycolmap.IncrementalPipelineOptions()
@@ -27,6 +27,10 @@ def mapped_with(seed, first_angle, first_points, points, refines_lens):
     options.mapper.init_min_num_inliers = first_points
     options.mapper.abs_pose_min_num_inliers = points
     options.ba_refine_focal_length = options.ba_refine_extra_params = bool(refines_lens)
+    # Version 4 counts frames of several cameras.
+    ratio = "ba_global_frames_ratio" if hasattr(options, "ba_global_frames_ratio") else "ba_global_images_ratio"
+    setattr(options, ratio, adjustment_growth)
+    options.ba_global_points_ratio = adjustment_growth
     return options
 
 
@@ -50,4 +54,4 @@ def run(step, folder, models, numbers):
 if len(sys.argv) == 1:
     print(pycolmap.__version__)
 else:
-    run(*sys.argv[1:4], [int(number) for number in sys.argv[4:]])
+    run(*sys.argv[1:4], [float(number) if "." in number else int(number) for number in sys.argv[4:]])
