@@ -11,12 +11,12 @@ use zipsplat_tests::processes::{child, target};
 pub const OPTIONS_3: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
     "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
-    "--Mapper.min_model_size arg",
+    "--Mapper.min_model_size arg --Mapper.ba_global_images_ratio arg",
 ];
 const OPTIONS_4: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --FeatureExtraction.use_gpu arg --FeatureExtraction.max_image_size arg",
     "--FeatureMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
-    "--Mapper.min_model_size arg",
+    "--Mapper.min_model_size arg --Mapper.ba_global_frames_ratio arg",
 ];
 pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 
@@ -133,6 +133,8 @@ fn cameras_are_what_colmap_found() {
     assert!(three.contains("--SiftExtraction.use_gpu 0") && three.contains("--SiftMatching.use_gpu 0"), "{three}");
     assert!(four.contains("--FeatureExtraction.use_gpu 0") && four.contains("--FeatureMatching.use_gpu 0"), "{four}");
     assert!(!three.contains("--Feature") && !four.contains("--Sift"), "{three}{four}");
+    assert!(three.contains("--Mapper.ba_global_images_ratio 1.1"), "{three}");
+    assert!(four.contains("--Mapper.ba_global_frames_ratio 1.1"), "{four}");
     assert!(three.lines().all(|line| line.starts_with("offscreen ")), "{three}");
     folder.write("place/points.ply", "another's");
     let line = "cameras @/place/images --colmap @/three -o @/place/transforms.json";
@@ -164,7 +166,7 @@ exit 0
     let args = args(&folder, "python");
     assert_eq!(
         args,
-        "features 1600 8192\nall \ncameras 0 16 100 30 1\nfeatures 800 8192\nnear \ncameras 0 16 100 30 1\n"
+        "features 1600 8192\nall \ncameras 0 16 100 30 1 1.1\nfeatures 800 8192\nnear \ncameras 0 16 100 30 1 1.4\n"
     );
 }
 

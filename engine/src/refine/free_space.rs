@@ -54,8 +54,8 @@ impl FreeSpace {
     }
 
     /// Pushes floaters back to the initial scene's depth, where they look alike to their camera.
-    /// Makes those around or near a camera that it does not see invisible. Returns their indices. `cameras` are
-    /// those of [`FreeSpace::new`], moved or not.
+    /// Makes those around or near a camera invisible. Returns their indices. `cameras` are those of
+    /// [`FreeSpace::new`], moved or not.
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
         let centers: Vec<DVec3> = compared.iter().map(|camera| camera.pose.translation).collect();
@@ -75,10 +75,10 @@ impl FreeSpace {
             let is_new = !self.around.get(i).is_some_and(|around| *around);
             if scene.opacities[i] <= INVISIBLE {
                 None
-            } else if is_new && contains(scene, i, &centers) {
+            } else if is_new && (is_near(i) || contains(scene, i, &centers)) {
                 Some((i, None))
             } else {
-                pushed(&scene.means[i]).map(|push| (i, Some(push))).or_else(|| is_near(i).then_some((i, None)))
+                pushed(&scene.means[i]).map(|push| (i, Some(push)))
             }
         };
         let floaters: Vec<_> = (0..scene.len()).into_par_iter().filter_map(floater).collect();
@@ -164,10 +164,11 @@ mod tests {
     #[test]
     fn floaters_are_pushed_back() {
         let cameras = [camera(0.0), camera(0.1)];
-        // A near thing on the left, a wall, and nothing in the lower half.
+        // A near thing on the left, a wall, nothing in the lower half, and one behind the cameras.
         let wall = (0..24).map(|i| [0.4 * (i % 6) as f32 - 0.8, -0.5 * (i / 6) as f32, 4.0]);
         let near = [[-0.4, -0.2, 1.0]];
-        let given = scene(wall.chain(near).flat_map(|mean| [mean; 8]).collect());
+        let behind = [[0.0, 0.0, -0.5]];
+        let given = scene(wall.chain(near).chain(behind).flat_map(|mean| [mean; 8]).collect());
         let free_space = FreeSpace::new(&given, &cameras);
         let places = [
             ([-0.4, -0.2, 1.0], true),

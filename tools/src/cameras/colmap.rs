@@ -53,8 +53,8 @@ pub enum Matching {
 }
 
 impl Matching {
-    /// Growth of photos or points after which COLMAP adjusts all of them: its default, and its value
-    /// for videos.
+    /// Growth of photos or points after which COLMAP adjusts all of them: its default, and its own
+    /// value for videos.
     fn adjustment_growth(self) -> f64 {
         match self {
             Self::Exhaustive => 1.1,
