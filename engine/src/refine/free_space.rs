@@ -2,12 +2,13 @@
 //! pictures of cameras beside it.
 
 use super::growth::INVISIBLE;
-use crate::types::{Camera, Pose, Scene, matrix_from_quaternion};
+use crate::types::{Camera, Intrinsics, Pose, Scene, matrix_from_quaternion};
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
-/// Cells of a side of a picture.
-const CELLS: usize = 24;
+/// Cells of a side of a place's picture, which is twice as wide and high as its camera's:
+/// floaters beside a picture reach into it.
+const CELLS: usize = 48;
 /// Least depth relative to the least initial one around a cell, and least distance from a place
 /// relative to that of its `ENOUGH`th nearest initial Gaussian.
 const RATIO: f64 = 0.3;
@@ -101,7 +102,10 @@ impl Place {
         let [first, second] = [from, to].map(|pose| DQuat::from_mat3(&pose.rotation));
         let rotation = DMat3::from_quat(first.slerp(second, self.along));
         let translation = from.translation.lerp(to.translation, self.along);
-        Camera { pose: Pose { rotation, translation }, ..cameras[self.ends[0]] }
+        let i = cameras[self.ends[0]].intrinsics;
+        let [cx, cy] = [i.cx + 0.5 * f64::from(i.width), i.cy + 0.5 * f64::from(i.height)];
+        let intrinsics = Intrinsics { width: 2 * i.width, height: 2 * i.height, cx, cy, ..i };
+        Camera { intrinsics, pose: Pose { rotation, translation } }
     }
 }
 
@@ -159,7 +163,6 @@ fn cell(camera: &Camera, point: &[f32; 3]) -> Option<([usize; 2], f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::types::Intrinsics;
 
     #[test]
     fn floaters_are_pushed_back() {
