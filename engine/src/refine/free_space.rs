@@ -6,8 +6,8 @@ use crate::types::{Camera, Intrinsics, Pose, Scene, matrix_from_quaternion};
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
-/// Cells of a side of a place's picture, which is twice as wide and high as its camera's:
-/// floaters beside a picture reach into it.
+/// Cells of a side of a place's picture. It is twice as wide and high as the camera's: floaters
+/// beside a picture reach into it.
 const CELLS: usize = 48;
 /// Least depth relative to the least initial one around a cell, and least distance from a place
 /// relative to that of its `ENOUGH`th nearest initial Gaussian.
@@ -30,7 +30,7 @@ pub(super) struct FreeSpace {
     places: Vec<Place>,
     /// Least depths by cell of the places' pictures.
     depths: Vec<Depths>,
-    /// Least distances from the places, in any direction: cameras beside them turn elsewhere.
+    /// Least distances from the places in any direction, for cameras there that look elsewhere.
     distances: Vec<f64>,
     /// Initial Gaussians around a place, such as a background's.
     around: Vec<bool>,
@@ -49,7 +49,7 @@ impl FreeSpace {
         let places = places(cameras);
         let depths = places.par_iter().map(|place| least_depths(scene, &place.camera(cameras))).collect();
         let centers: Vec<DVec3> = places.iter().map(|place| place.camera(cameras).pose.translation).collect();
-        let distances = centers.par_iter().map(|center| RATIO * nearest(scene, *center)).collect();
+        let distances = centers.par_iter().map(|center| RATIO * nearest_distance(scene, *center)).collect();
         let around = (0..scene.len()).into_par_iter().map(|i| contains(scene, i, &centers)).collect();
         Self { places, depths, distances, around }
     }
@@ -131,7 +131,7 @@ fn contains(scene: &Scene, i: usize, centers: &[DVec3]) -> bool {
 }
 
 /// Distance of the `ENOUGH`th nearest Gaussian, or 0.
-fn nearest(scene: &Scene, center: DVec3) -> f64 {
+fn nearest_distance(scene: &Scene, center: DVec3) -> f64 {
     let mut distances: Vec<f64> = (0..scene.len()).map(|i| center.distance(row(scene, i)[0])).collect();
     if distances.len() < ENOUGH { 0.0 } else { *distances.select_nth_unstable_by(ENOUGH - 1, f64::total_cmp).1 }
 }
@@ -180,6 +180,8 @@ mod tests {
             ([0.11, -0.11, 1.1], false),
             ([0.1, 0.6, 1.3], true),
             ([0.0, 0.3, 0.7], false),
+            // Beside the pictures.
+            ([0.56, 0.0, 0.7], false),
             ([0.0, 0.0, -1.0], true),
             ([0.0, 5.0, 1.0], true),
             ([0.035, -0.035, 0.35], false),
@@ -195,9 +197,9 @@ mod tests {
             [x / depth, y / depth, scene.scales[i][0] / depth].map(|value| (1e4 * value).round())
         };
         assert!((0..places.len()).all(|i| seen(&given, i) == seen(&moved, i)));
-        assert!(floaters.iter().map(|i| moved.means[*i][2]).eq([1.0, 4.0, 4.0, 0.35]));
+        assert!(floaters.iter().map(|i| moved.means[*i][2]).eq([1.0, 4.0, 4.0, 4.0, 0.35]));
         // It would become more than ten times as large.
-        assert!((0..places.len()).all(|i| (moved.opacities[i] == 0.0) == (i == 8)));
+        assert!((0..places.len()).all(|i| (moved.opacities[i] == 0.0) == (i == 9)));
     }
 
     #[test]

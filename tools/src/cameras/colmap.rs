@@ -53,9 +53,9 @@ pub enum Matching {
 }
 
 impl Matching {
-    /// Growth of photos or points after which COLMAP adjusts all of them: its default, and its own
-    /// value for videos.
-    fn adjustment_growth(self) -> f64 {
+    /// Growth of the number of photos or points after which COLMAP repeats global bundle adjustment:
+    /// its default, and its own value for videos.
+    fn bundle_adjustment_ratio(self) -> f64 {
         match self {
             Self::Exhaustive => 1.1,
             Self::Sequential => 1.4,
@@ -189,7 +189,7 @@ impl Colmap {
                 (Step::Matches, Matching::Sequential) => ("near", Vec::new()),
                 (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens }), _) => {
                     let whole = [seed, first_angle, first_points, points, refines_lens.into()].map(f64::from);
-                    ("cameras", [&whole[..], &[pairs.adjustment_growth()]].concat())
+                    ("cameras", [&whole[..], &[pairs.bundle_adjustment_ratio()]].concat())
                 }
             };
             command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(f64::to_string));
@@ -227,8 +227,11 @@ impl Colmap {
                     (&["Mapper.abs_pose_min_num_inliers"], mapping.points.into()),
                     (&["Mapper.ba_refine_focal_length"], mapping.refines_lens.into()),
                     (&["Mapper.ba_refine_extra_params"], mapping.refines_lens.into()),
-                    (&["Mapper.ba_global_frames_ratio", "Mapper.ba_global_images_ratio"], pairs.adjustment_growth()),
-                    (&["Mapper.ba_global_points_ratio"], pairs.adjustment_growth()),
+                    (
+                        &["Mapper.ba_global_frames_ratio", "Mapper.ba_global_images_ratio"],
+                        pairs.bundle_adjustment_ratio(),
+                    ),
+                    (&["Mapper.ba_global_points_ratio"], pairs.bundle_adjustment_ratio()),
                 ],
             ),
         };

@@ -17,7 +17,7 @@ def with_sift(side, features):
     return {"sift_options": options}
 
 
-def mapped_with(seed, first_angle, first_points, points, refines_lens, adjustment_growth):
+def mapped_with(seed, first_angle, first_points, points, refines_lens, bundle_adjustment_ratio):
     """The options of mapping."""
     pycolmap.set_random_seed(seed)
     options = pycolmap.IncrementalPipelineOptions()
@@ -29,8 +29,8 @@ def mapped_with(seed, first_angle, first_points, points, refines_lens, adjustmen
     options.ba_refine_focal_length = options.ba_refine_extra_params = bool(refines_lens)
     # Version 4 counts frames of several cameras.
     ratio = "ba_global_frames_ratio" if hasattr(options, "ba_global_frames_ratio") else "ba_global_images_ratio"
-    setattr(options, ratio, adjustment_growth)
-    options.ba_global_points_ratio = adjustment_growth
+    setattr(options, ratio, bundle_adjustment_ratio)
+    options.ba_global_points_ratio = bundle_adjustment_ratio
     return options
 
 
