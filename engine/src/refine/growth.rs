@@ -13,37 +13,30 @@ const DEAD: f32 = 0.005;
 pub(super) const INVISIBLE: f32 = 1.0 / 255.0;
 const MAX_COPIES: usize = 51;
 /// Fractions of the steps: all Gaussians are alive after the first, relocation ends at the second.
-const GROWTH_END: f64 = 0.5;
-const RELOCATION_END: f64 = 0.8;
-const RELOCATIONS: usize = 20;
+pub(super) const GROWTH_END: f64 = 0.5;
+pub(super) const RELOCATION_END: f64 = 0.8;
 
 pub(super) struct Growth {
     random: Random,
-    steps: usize,
     counts: [usize; 2],
 }
 
 impl Growth {
-    pub fn new(first: usize, most: usize, steps: usize, seed: u64) -> Self {
-        Self { random: Random::new(!seed), steps, counts: [first, most.max(first)] }
+    pub fn new(first: usize, most: usize, seed: u64) -> Self {
+        Self { random: Random::new(!seed), counts: [first, most.max(first)] }
     }
 
     pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
         state.fixed("growth.random", std::slice::from_mut(self.random.state()))
     }
 
-    pub fn is_due(&self, done: usize) -> bool {
-        done.is_multiple_of(self.steps.div_ceil(RELOCATIONS)) && done as f64 <= RELOCATION_END * self.steps as f64
-    }
-
-    /// `rate` is the current fraction of the initial rate, `gradients` the root mean squares of the
+    /// `along` is the completed fraction of the steps, `rate` is the current fraction of the initial rate, `gradients` the root mean squares of the
     /// means' gradients. Returns the indices of changed Gaussians.
-    pub fn apply(&mut self, scene: &mut Scene, gradients: &[f64], done: usize, rate: f32) -> Vec<usize> {
+    pub fn apply(&mut self, scene: &mut Scene, gradients: &[f64], along: f64, rate: f32) -> Vec<usize> {
         self.add_noise(scene, f64::from(rate));
         let (live, dead): (Vec<usize>, Vec<usize>) = (0..scene.len()).partition(|i| scene.opacities[*i] > DEAD);
-        let along = (done as f64 / (GROWTH_END * self.steps as f64)).min(1.0);
         let [first, most] = self.counts.map(|count| count as f64);
-        let wanted = (first * (most / first).powf(along)).round() as usize;
+        let wanted = (first * (most / first).powf((along / GROWTH_END).min(1.0))).round() as usize;
         let chosen = self.choose(scene, gradients, &live, dead.len().min(wanted.saturating_sub(live.len())));
         let mut dead = dead.into_iter();
         let mut changed = Vec::new();
@@ -182,13 +175,11 @@ mod tests {
     #[test]
     fn dead_gaussians_come_alive_where_others_are() {
         let start = scene(8);
-        let mut growth = Growth::new(8, 32, 100, 1);
-        let due: Vec<usize> = (1..=100).filter(|done| growth.is_due(*done)).collect();
-        assert_eq!((due.len(), due[0], *due.last().expect("some")), (16, 5, 80));
+        let mut growth = Growth::new(8, 32, 1);
         let (mut grown, even) = (padded(&start, 32), [1.0; 32]);
         let live = |scene: &Scene| scene.opacities.iter().filter(|opacity| **opacity > DEAD).count();
         assert_eq!((grown.len(), live(&grown)), (32, 8));
-        let changed = growth.apply(&mut grown, &even, 25, 0.0);
+        let changed = growth.apply(&mut grown, &even, 0.25, 0.0);
         assert_eq!(live(&grown), 16);
         assert!((8..16).all(|i| changed.contains(&i)) && grown.means[16..] == padded(&start, 32).means[16..]);
         for i in 8..16 {
@@ -198,13 +189,13 @@ mod tests {
             let offset = grown.means[i][0] - start.means[source][0];
             assert!(offset.abs() < 0.5, "{offset} from {source}");
         }
-        growth.apply(&mut grown, &even, 50, 0.0);
+        growth.apply(&mut grown, &even, 0.5, 0.0);
         assert_eq!(live(&grown), 32);
         grown.validate().expect("a valid scene");
         let mut again = padded(&start, 32);
-        let mut growth = Growth::new(8, 32, 100, 1);
-        growth.apply(&mut again, &even, 25, 0.0);
-        growth.apply(&mut again, &even, 50, 0.0);
+        let mut growth = Growth::new(8, 32, 1);
+        growth.apply(&mut again, &even, 0.25, 0.0);
+        growth.apply(&mut again, &even, 0.5, 0.0);
         assert_eq!(again, grown);
         grown.opacities[3] = 0.001;
         drop_invisible(&mut grown);
@@ -215,9 +206,9 @@ mod tests {
     fn gaussians_with_large_gradients_are_split() {
         let mut grown = padded(&scene(8), 32);
         let mut gradients = [0.0; 32];
-        assert!(Growth::new(8, 32, 100, 1).apply(&mut grown, &gradients, 25, 0.0).is_empty());
+        assert!(Growth::new(8, 32, 1).apply(&mut grown, &gradients, 0.25, 0.0).is_empty());
         gradients[3] = 1.0;
-        let changed = Growth::new(8, 32, 100, 1).apply(&mut grown, &gradients, 25, 0.0);
+        let changed = Growth::new(8, 32, 1).apply(&mut grown, &gradients, 0.25, 0.0);
         assert_eq!((changed.len(), changed[0]), (9, 3));
     }
 
@@ -225,7 +216,7 @@ mod tests {
     fn what_is_nearly_transparent_wanders() {
         let (mut moved, still) = (scene(4), scene(4));
         moved.opacities[2] = 0.005;
-        Growth::new(4, 4, 10, 0).add_noise(&mut moved, 1.0);
+        Growth::new(4, 4, 0).add_noise(&mut moved, 1.0);
         let distance =
             |i: usize| DVec3::from(moved.means[i].map(f64::from)).distance(still.means[i].map(f64::from).into());
         assert!([0, 1, 3].iter().all(|i| distance(*i) == 0.0) && (1e-3..1.0).contains(&distance(2)), "{}", distance(2));

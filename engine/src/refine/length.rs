@@ -12,12 +12,8 @@ const MOST_GROWTH: f64 = 16.0;
 /// Steps between which these limits allow Gaussians in proportion to the square root of the steps:
 /// fewer Gaussians would stop gaining detail.
 pub(super) const DETAIL: [usize; 2] = [200, 800];
-/// Growth by a factor makes the mean step slower by this power of it.
-const GROWTH_COST: f64 = 0.42;
-/// Additional power for the steps' part of the factor.
-const DETAIL_COST: f64 = 0.35;
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
-const ENOUGH_STEPS: u32 = 240;
+const ENOUGH_STEPS: u32 = 150;
 const SHORTEST: u32 = 240;
 
 /// Number of Gaussians that a scene of `len` grows to, if it grows.
@@ -43,15 +39,13 @@ pub(super) fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>, factor: u32) ->
     (0..photos.count()).map(move |i| fitted(photos.size(i), most, factor))
 }
 
-pub(super) fn steps_with_growth(steps: f64, len: Option<usize>, grow: impl Fn(usize) -> Option<usize>) -> usize {
-    let cost = |steps: usize| {
-        let factor = grow(steps).zip(len).map(|(most, len)| most as f64 / len as f64);
-        factor.map_or(1.0, |factor| factor.powf(GROWTH_COST) * detail(steps).powf(DETAIL_COST))
-    };
-    let (mut fits, mut too_many) = (1, steps as usize + 1);
+/// Returns the largest number of steps with at most `most` work, at least 1.
+pub(super) fn steps_in_time(most: f64, work: impl Fn(usize) -> f64) -> usize {
+    // No step is expected to take less than a quarter of one at full size.
+    let (mut fits, mut too_many) = (1, (4.0 * most) as usize + 2);
     while too_many > fits + 1 {
         let middle = fits.midpoint(too_many);
-        let end = if middle as f64 * cost(middle) <= steps { &mut fits } else { &mut too_many };
+        let end = if work(middle) <= most { &mut fits } else { &mut too_many };
         *end = middle;
     }
     fits
@@ -95,12 +89,11 @@ mod tests {
 
     #[test]
     fn growth_leaves_time_for_fewer_steps() {
-        let grow = |steps: usize| (steps >= GROWTH_FROM).then_some(400);
-        // Four times the Gaussians make a step 1.79 times slower.
-        for (steps, grown) in [(0.1, 1), (49.9, 49), (60.0, 49), (100.0, 55), (1000.0, 479)] {
-            assert_eq!(steps_with_growth(steps, Some(100), grow), grown, "{steps}");
-            assert_eq!(steps_with_growth(steps, None, |_| None), steps.max(1.0) as usize);
+        let work = |steps: usize| if steps < GROWTH_FROM { steps as f64 } else { 1.5 * steps as f64 };
+        for (most, steps) in [(0.1, 1), (49.9, 49), (60.0, 49), (75.0, 50), (900.0, 600)] {
+            assert_eq!(steps_in_time(most, work), steps, "{most}");
         }
+        assert_eq!(steps_in_time(100.0, |steps| steps as f64 / 4.0), 400);
     }
 
     #[test]
@@ -118,9 +111,9 @@ mod tests {
             (size.expect("a size").0.expect("a limit"), timed.get())
         };
         assert_eq!(chosen(1), ([400, 250], 1));
-        // 240 steps at 800 x 500 take 96 s.
-        assert_eq!(chosen(95), ([400, 250], 2));
-        assert_eq!(chosen(97), ([800, 500], 2));
+        // 150 steps at 800 x 500 take 60 s.
+        assert_eq!(chosen(59), ([400, 250], 2));
+        assert_eq!(chosen(61), ([800, 500], 2));
         assert_eq!(chosen(1000), ([2000, 1600], 3));
     }
 

@@ -11,6 +11,7 @@ mod gaussians;
 mod growth;
 mod length;
 mod options;
+mod pace;
 mod photos;
 mod plan;
 mod planned;
@@ -40,7 +41,8 @@ use checkpoint::{hashed, hashed_scene, identity};
 use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
-use length::{grown_len, size_in_time, sizes, steps_with_growth};
+use length::{grown_len, size_in_time, sizes, steps_in_time};
+use pace::{Pace, Work};
 use photos::PhotoCache;
 use refinement::{Refinement, Saving};
 use std::{
@@ -258,17 +260,26 @@ fn run(
         }
         cached = probe.photos;
     }
-    let steps = match options.length {
-        RefineLength::Steps(steps) => steps,
+    let work = |steps: usize| Work {
+        coarse: options.coarse_to_fine,
+        shortest: sizes(photos, options.max_image_size, 1).flatten().min().unwrap_or(0),
+        growth: grow(&options, steps).zip(len).map_or(1.0, |(most, len)| most as f64 / len as f64),
+    };
+    let (steps, pace) = match options.length {
+        RefineLength::Steps(steps) => (steps, None),
         RefineLength::Time(time) => {
             // Opening large photos may take long: at least half of the time is for steps.
             let left = time.saturating_sub(begin.elapsed()).max(time / 2);
-            steps_with_growth(left.as_secs_f64() / step.as_secs_f64(), len, |steps| grow(&options, steps))
+            let most = left.as_secs_f64() / step.as_secs_f64();
+            let steps = steps_in_time(most, |steps| steps as f64 * work(steps).between(0.0, 1.0));
+            (steps, Some(Pace::new(left, work(steps))))
         }
     };
     options.max_gaussians = grow(&options, steps);
     saving.iter_mut().for_each(|saving| saving.plan(steps, &options));
-    refinement(cameras, options, steps, cached)?.finish(&mut progress, begin, saving.as_mut(), None)
+    let mut refinement = refinement(cameras, options, steps, cached)?;
+    refinement.pace = pace;
+    refinement.finish(&mut progress, begin, saving.as_mut(), None)
 }
 
 fn filled(options: &RefineOptions, count: usize) -> Result<RefineOptions> {

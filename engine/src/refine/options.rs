@@ -7,8 +7,8 @@ use std::time::Duration;
 pub enum RefineLength {
     /// Optimizer steps.
     Steps(usize),
-    /// Approximate duration; the measured time of a few steps decides the steps and the photos'
-    /// size. The same steps and size give the same bits.
+    /// Duration. The measured time of a step decides the photos' size and the number of steps,
+    /// which then follows the speed.
     Time(Duration),
 }
 

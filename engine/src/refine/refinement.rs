@@ -10,7 +10,8 @@ use super::{
     exposure::{Exposures, first_step},
     free_space::FreeSpace,
     gaussians::Gaussians,
-    growth::{Growth, drop_invisible},
+    growth::{Growth, RELOCATION_END, drop_invisible},
+    pace::Pace,
     photos::PhotoCache,
     planned::PhotoLoss,
     schedule::{Schedule, rate_of_error},
@@ -22,7 +23,7 @@ use crate::{
 };
 use std::{collections::VecDeque, ops::ControlFlow, time::Instant};
 
-/// Evaluations of held-out photos or, without any, of the loss.
+/// Evaluations of held-out photos or, without any, of the loss; relocations while growing.
 const EVALUATIONS: usize = 20;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
@@ -35,8 +36,9 @@ pub(super) struct Refinement<'a> {
     cameras: Cameras,
     exposures: Option<Exposures>,
     options: RefineOptions,
-    steps: usize,
     schedule: Schedule,
+    /// Corrects the number of steps, if a time was given.
+    pub pace: Option<Pace>,
     gaussians: Gaussians,
     growth: Option<(Growth, FreeSpace)>,
     order: Order,
@@ -95,7 +97,7 @@ impl<'a> Refinement<'a> {
         ];
         let growth = options.max_gaussians.map(|most| {
             let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
-            (Growth::new(scene.len(), most, steps, options.seed), FreeSpace::new(&scene, &training_cameras))
+            (Growth::new(scene.len(), most, options.seed), FreeSpace::new(&scene, &training_cameras))
         });
         let depth_weight = options.depth_loss.map_or(0.0, |loss| scene_distance * f64::from(loss.weight));
         scene.antialiased = options.antialiased.unwrap_or(scene.antialiased);
@@ -106,7 +108,7 @@ impl<'a> Refinement<'a> {
             schedule: Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine },
             order: Order::new(training.len(), options.seed),
             options,
-            steps,
+            pace: None,
             gaussians,
             growth,
             training,
@@ -163,7 +165,7 @@ impl<'a> Refinement<'a> {
         let pixels: usize = self.measured.iter().map(|view| view.image.rgb.len() / 3).sum();
         let targets = self.measured.iter().filter_map(|view| view.depth.as_ref());
         let known = targets.flat_map(|depth| depth.iter()).filter(|target| **target > 0.0).count();
-        let Self { losses, kept, holdout_psnr, holdout, sizes, .. } = self;
+        let Self { losses, kept, holdout_psnr, holdout, sizes, schedule, .. } = self;
         let Kept { step: best_step, scene, cameras, exposures } = kept;
         let exposures = exposures.map(|exposures| (0..cameras.len()).map(|photo| exposures.get(photo)).collect());
         let training_psnr = [after, before];
@@ -173,7 +175,7 @@ impl<'a> Refinement<'a> {
             cameras,
             exposures,
             resumed_step,
-            steps: self.steps,
+            steps: schedule.steps,
             losses,
             best_step,
             holdout_psnr,
@@ -197,14 +199,15 @@ impl<'a> Refinement<'a> {
         first: usize,
         mut saving: Option<&mut Saving>,
     ) -> Result<Option<StopReason>> {
-        let steps = self.steps;
+        let mut steps = self.schedule.steps;
         let interval = steps.div_ceil(EVALUATIONS).max(1);
         let first_exposed = first_step(steps);
         if first == 0 {
             self.evaluate(0)?;
         }
         self.photos.fill(&self.training)?;
-        for step in first..steps {
+        let mut step = first;
+        while step < steps {
             self.resize(step);
             if step == first_exposed {
                 let (training, views, count) = (&self.training, &self.measured, self.cameras.all().len());
@@ -235,20 +238,26 @@ impl<'a> Refinement<'a> {
             if !loss.is_finite() {
                 return Ok(Some(StopReason::Diverged(format!("the loss of step {done} is {loss}"))));
             }
-            if done.is_multiple_of(interval) || done == steps {
+            let (evaluates, along) = (done.is_multiple_of(interval), done as f64 / steps as f64);
+            if evaluates || done == steps {
                 if let Some(why) = self.check_loss() {
                     return Ok(Some(StopReason::Diverged(why)));
                 }
                 self.evaluate(done)?;
             }
-            if let Some((growth, free_space)) = self.growth.as_mut().filter(|(growth, _)| growth.is_due(done)) {
+            if let Some((growth, free_space)) = self.growth.as_mut().filter(|_| evaluates && along <= RELOCATION_END) {
                 let rate = self.fraction * self.schedule.rate(step);
                 let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
                 self.gaussians.edit(|scene, gradients| {
                     let mut changed = free_space.clear(scene, &cameras);
-                    changed.extend(growth.apply(scene, gradients, done, rate));
+                    changed.extend(growth.apply(scene, gradients, along, rate));
                     changed
                 })?;
+            }
+            if let Some(pace) = self.pace.as_mut().filter(|_| evaluates && done < steps) {
+                steps = pace.correct(done, steps);
+                self.schedule.steps = steps;
+                saving.iter_mut().for_each(|saving| saving.plan(steps, &self.options));
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
@@ -264,6 +273,7 @@ impl<'a> Refinement<'a> {
             if cancelled {
                 return self.stop(done, StopReason::Cancelled);
             }
+            step = done;
         }
         self.keep();
         Ok(None)
@@ -290,7 +300,7 @@ impl<'a> Refinement<'a> {
     }
 
     fn step_photos(&mut self, step: usize, found: &[PhotoLoss]) {
-        let (rate, along) = (self.schedule.rate(step), step as f64 / self.steps as f64);
+        let (rate, along) = (self.schedule.rate(step), step as f64 / self.schedule.steps as f64);
         for PhotoLoss { photo, d_pose, d_exposure, .. } in found {
             d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, rate, along));
             if let (Some(exposures), Some(gradient)) = (&mut self.exposures, d_exposure) {

@@ -107,20 +107,17 @@ fn moved_gaussians_find_back_and_always_alike() {
 }
 
 #[test]
-fn a_time_becomes_steps_that_give_the_same_bits() {
+fn a_time_becomes_steps() {
     let cameras = cameras(4);
     let (scene, photos) = photos(&cameras);
     let steps = |time| {
         let request = RefineOptions { length: RefineLength::Time(time), ..RefineOptions::default() };
         let refined = refine(&moved(&scene), &photos, &cameras, &request);
-        (refined.losses.len(), refined)
+        assert_eq!(refined.losses.len(), refined.steps);
+        refined.steps
     };
-    let (least, _) = steps(Duration::ZERO);
-    let mut times = (8..16).map(|power| steps(Duration::from_millis(1 << power)));
-    let (count, refined) = times.find(|(count, _)| *count > 1).expect("steps in a longer time");
-    assert_eq!(least, 1);
-    let counted = RefineOptions { length: RefineLength::Steps(count), ..RefineOptions::default() };
-    assert!(refine(&moved(&scene), &photos, &cameras, &counted).scene == refined.scene);
+    assert_eq!(steps(Duration::ZERO), 1);
+    assert!((8..16).any(|power| steps(Duration::from_millis(1 << power)) > 1), "one step in any time");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use super::{Kept, Refinement};
 use crate::{
     Error, Result,
     gpu::Profile,
-    refine::{schedule::phases, views::View},
+    refine::views::View,
     types::{ColorTransform, Image},
 };
 
@@ -41,28 +41,24 @@ impl Refinement<'_> {
         Ok(sum / self.measured.len() as f64)
     }
 
-    /// Returns the mean time of a step, from one at each size. Changes the Gaussians' moments.
+    /// Returns the time of a step at full size. Changes the Gaussians' moments.
     pub fn time_step(&mut self) -> Result<Duration> {
-        let mut mean = Duration::ZERO;
-        for (fraction, factor) in phases(self.options.coarse_to_fine, self.shortest()) {
-            let views = self.first_views(factor)?;
-            let views: Vec<&View> = views.iter().collect();
-            // The first records and compiles.
-            self.gaussians.step(&views, [0.0; 2])?;
-            let begin = Instant::now();
-            self.gaussians.step(&views, [0.0; 2])?;
-            mean += begin.elapsed().mul_f64(fraction);
-        }
-        Ok(mean)
+        let views = self.first_views()?;
+        let views: Vec<&View> = views.iter().collect();
+        // The first records and compiles.
+        self.gaussians.step(&views, [0.0; 2])?;
+        let begin = Instant::now();
+        self.gaussians.step(&views, [0.0; 2])?;
+        Ok(begin.elapsed())
     }
 
-    fn first_views(&mut self, factor: u32) -> Result<Vec<View>> {
+    fn first_views(&mut self) -> Result<Vec<View>> {
         let chosen = &self.training[..self.training.len().min(self.options.views_per_step)];
-        self.photos.views(self.cameras.all(), chosen, &[], factor)
+        self.photos.views(self.cameras.all(), chosen, &[], 1)
     }
 
     pub(super) fn profile(&mut self) -> Result<Profile> {
-        let views = self.first_views(1)?;
+        let views = self.first_views()?;
         self.gaussians.profile(&views.iter().collect::<Vec<_>>())
     }
 }
