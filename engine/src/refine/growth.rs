@@ -30,8 +30,8 @@ impl Growth {
         state.fixed("growth.random", std::slice::from_mut(self.random.state()))
     }
 
-    /// `along` is the completed fraction of the steps, `rate` is the current fraction of the initial rate, `gradients` the root mean squares of the
-    /// means' gradients. Returns the indices of changed Gaussians.
+    /// `along` is the completed fraction of the steps, `rate` the fraction of the initial rate,
+    /// `gradients` the root mean squares of the means' gradients. Returns the changed Gaussians.
     pub fn apply(&mut self, scene: &mut Scene, gradients: &[f64], along: f64, rate: f32) -> Vec<usize> {
         self.add_noise(scene, f64::from(rate));
         let (live, dead): (Vec<usize>, Vec<usize>) = (0..scene.len()).partition(|i| scene.opacities[*i] > DEAD);
