@@ -14,7 +14,7 @@ pub(super) const INVISIBLE: f32 = 1.0 / 255.0;
 const MAX_COPIES: usize = 51;
 /// Fractions of the steps: all Gaussians are alive after the first, relocation ends at the second.
 pub(super) const GROWTH_END: f64 = 0.5;
-pub(super) const RELOCATION_END: f64 = 0.8;
+const RELOCATION_END: f64 = 0.8;
 
 pub(super) struct Growth {
     random: Random,
@@ -28,6 +28,10 @@ impl Growth {
 
     pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
         state.fixed("growth.random", std::slice::from_mut(self.random.state()))
+    }
+
+    pub fn is_due(along: f64) -> bool {
+        along <= RELOCATION_END
     }
 
     /// `along` is the completed fraction of the steps, `rate` the fraction of the initial rate,
@@ -175,6 +179,7 @@ mod tests {
     #[test]
     fn dead_gaussians_come_alive_where_others_are() {
         let start = scene(8);
+        assert!(Growth::is_due(0.8) && !Growth::is_due(0.81));
         let mut growth = Growth::new(8, 32, 1);
         let (mut grown, even) = (padded(&start, 32), [1.0; 32]);
         let live = |scene: &Scene| scene.opacities.iter().filter(|opacity| **opacity > DEAD).count();

@@ -1,4 +1,4 @@
-//! Steps in a time: their number follows the measured speed.
+//! Number of steps for a given time, corrected by the measured speed.
 
 use super::{growth::GROWTH_END, schedule::factor};
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ const GROWTH_COST: f64 = 0.5;
 const CORRECTION: [f64; 2] = [0.5, 2.0];
 const PARTS: usize = 64;
 
-/// Expected time of steps, relative to one at full size before growth.
+/// Expected cost of a run's steps. A step at full size before growth costs 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Work {
     pub coarse: bool,
@@ -20,7 +20,7 @@ pub(super) struct Work {
 }
 
 impl Work {
-    /// Mean over the run, times the fraction, for steps between two fractions of the run.
+    /// Integrates the cost of a step between two fractions of the run.
     pub fn between(&self, from: f64, to: f64) -> f64 {
         let step = |along: f64| {
             let growth = self.growth.powf(GROWTH_COST * (along / GROWTH_END).min(1.0));

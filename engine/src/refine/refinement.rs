@@ -10,7 +10,7 @@ use super::{
     exposure::{Exposures, first_step},
     free_space::FreeSpace,
     gaussians::Gaussians,
-    growth::{Growth, RELOCATION_END, drop_invisible},
+    growth::{Growth, drop_invisible},
     pace::Pace,
     photos::PhotoCache,
     planned::PhotoLoss,
@@ -245,7 +245,7 @@ impl<'a> Refinement<'a> {
                 }
                 self.evaluate(done)?;
             }
-            if let Some((growth, free_space)) = self.growth.as_mut().filter(|_| evaluates && along <= RELOCATION_END) {
+            if let Some((growth, free_space)) = self.growth.as_mut().filter(|_| evaluates && Growth::is_due(along)) {
                 let rate = self.fraction * self.schedule.rate(step);
                 let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
                 self.gaussians.edit(|scene, gradients| {
