@@ -4,7 +4,10 @@ use crate::{
     Folder, Outcome,
     cameras::{OPTIONS_3, args, colmap, model, place},
 };
-use zipsplat::types::{Camera, Image, Intrinsics, poses::CaptureView};
+use zipsplat::types::{
+    Camera, Image, Intrinsics,
+    poses::{Capture, CaptureView},
+};
 
 /// `$n` in `body` is the attempt; `found` are expected photo counts.
 fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
@@ -69,7 +72,7 @@ fn four_fifths_of_many_photos_are_enough() {
     }
 }
 
-/// The lens is fixed if that registers as many photos.
+/// A fixed lens is kept if it registers as many photos; of two, the one with more points.
 #[test]
 fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
     let (folder, frames) = place();
@@ -81,21 +84,33 @@ fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
         let fx = ratio * f64::from(lens.width.max(lens.height));
         (format!("0/{i:06}.png"), Camera { intrinsics: Intrinsics { fx, fy: fx, ..lens }, ..frame.camera })
     };
-    for (unlikely, fixed, kept) in [(4, 4, 1.2), (3, 4, 1.2), (4, 3, 0.2)] {
+    let more = "5 0 0 4 10 20 30 0.1\n";
+    for (counts, with_more, kept) in
+        [([4, 4, 4], 1, 1.2), ([4, 4, 4], 2, 1.3), ([3, 3, 4], 0, 1.3), ([4, 3, 3], 2, 0.2)]
+    {
         colmap(&folder, "colmap", "3.8", options, ["", "", &body]);
-        for (name, count, ratio) in [("try1/0", unlikely, 0.2), ("try2/0", fixed, 1.2)] {
+        for (attempt, (count, ratio)) in counts.into_iter().zip([0.2, 1.2, 1.3]).enumerate() {
             let found: Vec<_> = frames.iter().enumerate().take(count).map(|frame| of(frame, ratio)).collect();
             let named: Vec<_> = found.iter().map(|(name, camera)| (name.as_str(), camera)).collect();
-            model(&folder.path(name), &named);
+            let name = format!("try{}/0", attempt + 1);
+            model(&folder.path(&name), &named);
+            if attempt == with_more {
+                let points = format!("{name}/points3D.txt");
+                folder.write(&points, format!("{}{more}", folder.text(&points)).as_bytes());
+            }
         }
         let line = "cameras @/place/images --colmap @/colmap -o @/found.json --overwrite";
         let text = folder.run(line).success();
-        assert!(text.contains("4 of 4 photos") && text.contains("the best of 2 attempts"), "{text}");
+        assert!(text.contains("4 of 4 photos") && text.contains("the best of 3 attempts"), "{text}");
         assert_eq!(text.contains("is unlikely"), kept < 1.0, "{text}");
+        let lens = Capture::open(folder.path("found.json")).expect("cameras").frames[0].camera.intrinsics;
+        // Undistortion moves it a little.
+        assert!((lens.fx / f64::from(lens.width) - kept).abs() < 0.02, "{counts:?}: {lens:?}");
         let args = args(&folder, "colmap");
         let mapped: Vec<&str> = args.lines().filter(|line| line.contains(" mapper ")).collect();
-        assert!(mapped[0].contains("focal_length 1") && mapped[1].contains("focal_length 0"), "{args}");
-        assert!(mapped[1].contains("extra_params 0") && mapped.len() == 2, "{args}");
+        assert!(mapped.len() == 3 && mapped[0].contains("focal_length 1 --Mapper.ba_refine_extra_params 1"), "{args}");
+        let fixed = |line: &&str| line.contains("focal_length 0 --Mapper.ba_refine_extra_params 0");
+        assert!(mapped[1..].iter().all(fixed), "{args}");
         folder.remove("colmap.args");
     }
 }

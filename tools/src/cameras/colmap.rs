@@ -104,8 +104,10 @@ impl Mapping {
         Self { seed: 1, first_angle: 8, first_points: 50, points: 20, refines_lens: true },
         Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true },
     ];
-    /// Keeps the lens of EXIF or COLMAP's guess: few photos do not determine it.
-    pub const FIXED_LENS: Self = Self { refines_lens: false, ..Self::ALL[0] };
+    /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. From some first pairs
+    /// bundle adjustment ends in a wrong local minimum, so two thresholds are tried.
+    pub const FIXED_LENS: [Self; 2] =
+        [Self { refines_lens: false, ..Self::ALL[0] }, Self { refines_lens: false, ..Self::ALL[2] }];
 }
 
 impl Step {

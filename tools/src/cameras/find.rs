@@ -13,6 +13,7 @@ use crate::{
 };
 use clap::{Args, ValueEnum};
 use std::{
+    cmp::Reverse,
     io::Write,
     ops::RangeInclusive,
     path::{Path, PathBuf},
@@ -178,7 +179,7 @@ impl EstimatedCameras {
             let found = format!("{first}, which is none of the photos");
             return Err(Error::argument(format!("photo in the model of {colmap}"), found, "a name that it was given"));
         }
-        let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
+        let points = points(&poses)?;
         let (program, count, focal) = (colmap.to_string(), poses.frames.len(), focal(&poses.frames));
         let (log, _work) = (Some(log), work.folder);
         Ok((poses, Self { predicted: None, lost, count, groups, points, focal, mappings, program, times, log, _work }))
@@ -243,16 +244,13 @@ impl<'a> Search<'a> {
     }
 
     /// Returns the groups, largest first, and the number of attempts. Retries if few photos are
-    /// joined or the focal length is implausible.
+    /// joined, and with a fixed lens if the focal length is implausible.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Capture>, usize)> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
-        let (mut best, mut attempts): (Vec<Capture>, _) = (Vec::new(), 0);
-        let joined = |models: &[Capture]| models.first().map_or(0, |model| model.frames.len());
-        let likely = |models: &[Capture]| models.first().is_none_or(|model| LIKELY.contains(&focal(&model.frames)));
-        let mut others = Mapping::ALL.into_iter();
-        let mut next = others.next();
-        while let Some(mapping) = next {
+        let (mut best, mut best_rank, mut attempts) = (Vec::new(), (0, false, 0), 0);
+        let mut mappings = Mapping::ALL.iter();
+        while let Some(&mapping) = mappings.next() {
             let models = self.work.folder.path().join(format!("sparse{attempts}"));
             make_folder(&models)?;
             attempts += 1;
@@ -263,18 +261,17 @@ impl<'a> Search<'a> {
                 None => {}
             }
             let mut models = models_of(&models)?;
-            models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
-            let as_many = joined(&models) == joined(&best) && likely(&models) && !likely(&best);
-            if joined(&models) > joined(&best) || as_many {
-                best = models;
+            models.sort_by_key(|model| Reverse(model.frames.len()));
+            let rank = models.first().map_or(Ok((0, true, 0)), rank)?;
+            if rank > best_rank {
+                (best, best_rank) = (models, rank);
             }
-            next = if mapping.refines_lens && !likely(&best) {
-                Some(Mapping::FIXED_LENS)
-            } else if mapping.refines_lens && joined(&best) < enough {
-                others.next()
-            } else {
-                None
-            };
+            let (joined, likely, _) = best_rank;
+            if mapping.refines_lens && !likely {
+                mappings = Mapping::FIXED_LENS.iter();
+            } else if mapping.refines_lens && joined >= enough {
+                break;
+            }
         }
         Ok((best, attempts))
     }
@@ -293,6 +290,16 @@ impl<'a> Search<'a> {
             Err(error) => error,
         }
     }
+}
+
+/// Number of photos, whether the focal length is likely, number of points: a wrong structure loses
+/// points.
+fn rank(model: &Capture) -> Result<(usize, bool, usize)> {
+    Ok((model.frames.len(), LIKELY.contains(&focal(&model.frames)), points(model)?))
+}
+
+fn points(model: &Capture) -> Result<usize> {
+    Ok(model.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len()))
 }
 
 pub(super) fn focal(frames: &[CaptureView]) -> f64 {
