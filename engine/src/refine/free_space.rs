@@ -19,6 +19,9 @@ const QUANTILE: f64 = 0.05;
 const MOST_PUSHED: f64 = 10.0;
 /// Mahalanobis distance up to which a camera is inside a Gaussian.
 const INSIDE: f64 = 3.0;
+/// Least distance from a place in standard deviations in that direction. Projection is linear: a
+/// wider Gaussian beside a camera veils its whole picture.
+const BESIDE: f64 = 2.0;
 /// Places between a camera and its `NEAREST` ones, as fractions of the way. No training photo
 /// penalizes floaters there.
 const BETWEEN: [f64; 2] = [0.3, 0.5];
@@ -32,8 +35,17 @@ pub(super) struct FreeSpace {
     depths: Vec<Depths>,
     /// Least distances from the places in any direction, for cameras there that look elsewhere.
     distances: Vec<f64>,
-    /// Initial Gaussians around a place, such as a background's.
+    /// Initial Gaussians around or beside a place, such as a background's.
     around: Vec<bool>,
+}
+
+/// Correction of a floater.
+#[derive(Clone, Copy)]
+enum Correction {
+    Hide,
+    /// Moves and enlarges by a factor, seen from a place.
+    Push(DVec3, f64),
+    Scale(f64),
 }
 
 #[derive(Clone, Copy)]
@@ -50,47 +62,58 @@ impl FreeSpace {
         let depths = places.par_iter().map(|place| least_depths(scene, &place.camera(cameras))).collect();
         let centers: Vec<DVec3> = places.iter().map(|place| place.camera(cameras).pose.translation).collect();
         let distances = centers.par_iter().map(|center| RATIO * nearest_distance(scene, *center)).collect();
-        let around = (0..scene.len()).into_par_iter().map(|i| contains(scene, i, &centers)).collect();
+        let around = |i| {
+            let [inside, beside] = deviations(scene, i, &centers);
+            inside < INSIDE || beside < BESIDE
+        };
+        let around = (0..scene.len()).into_par_iter().map(around).collect();
         Self { places, depths, distances, around }
     }
 
-    /// Pushes floaters back to the initial scene's depth, where they look alike to their camera.
-    /// Makes those around or near a camera invisible. Returns their indices. `cameras` are those of
-    /// [`FreeSpace::new`], moved or not.
+    /// Pushes floaters back to the initial scene's depth, where they look alike to their camera, and
+    /// narrows those beside a camera. Makes those around or near one invisible. Returns their
+    /// indices. `cameras` are those of [`FreeSpace::new`], moved or not.
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
         let centers: Vec<DVec3> = compared.iter().map(|camera| camera.pose.translation).collect();
         let pushed = |mean: &[f32; 3]| {
-            let factor = |(camera, depths): (&Camera, &Depths)| {
+            let push = |(camera, depths): (&Camera, &Depths)| {
                 let ([row, column], depth) = cell(camera, mean)?;
-                let least = depths[row][column];
-                (depth < RATIO * least).then_some((camera.pose.translation, least / depth))
+                let factor = depths[row][column] / depth;
+                let push = || Correction::Push(camera.pose.translation, factor);
+                (RATIO * factor > 1.0).then(|| if factor < MOST_PUSHED { push() } else { Correction::Hide })
             };
-            compared.iter().zip(&self.depths).find_map(factor)
+            compared.iter().zip(&self.depths).find_map(push)
         };
         let is_near = |i: usize| {
             let [mean, _] = row(scene, i);
             centers.iter().zip(&self.distances).any(|(center, least)| center.distance(mean) < *least)
         };
-        let floater = |i: usize| {
-            let is_new = !self.around.get(i).is_some_and(|around| *around);
+        let correction = |i: usize| {
             if scene.opacities[i] <= INVISIBLE {
-                None
-            } else if is_new && (is_near(i) || contains(scene, i, &centers)) {
-                Some((i, None))
-            } else {
-                pushed(&scene.means[i]).map(|push| (i, Some(push)))
+                return None;
             }
+            let is_new = !self.around.get(i).is_some_and(|around| *around);
+            let [inside, beside] = if is_new { deviations(scene, i, &centers) } else { [f64::INFINITY; 2] };
+            if inside < INSIDE || is_new && is_near(i) {
+                return Some(Correction::Hide);
+            }
+            // Slightly narrower than needed, for rounding.
+            let narrowed = || (beside < BESIDE).then_some(Correction::Scale(0.99 * beside / BESIDE));
+            pushed(&scene.means[i]).or_else(narrowed)
         };
-        let floaters: Vec<_> = (0..scene.len()).into_par_iter().filter_map(floater).collect();
-        for (i, push) in &floaters {
-            let Some((center, factor)) = push.as_ref().filter(|(_, factor)| *factor < MOST_PUSHED) else {
-                scene.opacities[*i] = 0.0;
-                continue;
-            };
+        let floaters: Vec<_> =
+            (0..scene.len()).into_par_iter().filter_map(|i| correction(i).map(|correction| (i, correction))).collect();
+        for (i, correction) in &floaters {
             let [mean, scales] = row(scene, *i);
-            scene.means[*i] = center.lerp(mean, *factor).as_vec3().to_array();
-            scene.scales[*i] = (*factor * scales).as_vec3().to_array();
+            match *correction {
+                Correction::Hide => scene.opacities[*i] = 0.0,
+                Correction::Scale(factor) => scene.scales[*i] = (factor * scales).as_vec3().to_array(),
+                Correction::Push(center, factor) => {
+                    scene.means[*i] = center.lerp(mean, factor).as_vec3().to_array();
+                    scene.scales[*i] = (factor * scales).as_vec3().to_array();
+                }
+            }
         }
         floaters.into_iter().map(|(i, ..)| i).collect()
     }
@@ -124,10 +147,16 @@ fn row(scene: &Scene, i: usize) -> [DVec3; 2] {
     [scene.means[i], scene.scales[i]].map(|row| DVec3::from(row.map(f64::from)))
 }
 
-fn contains(scene: &Scene, i: usize, centers: &[DVec3]) -> bool {
+/// Least distances of points from a Gaussian in standard deviations: Mahalanobis, and in a point's
+/// direction.
+fn deviations(scene: &Scene, i: usize, points: &[DVec3]) -> [f64; 2] {
     let axes = matrix_from_quaternion(scene.quats[i].map(f64::from)).transpose();
     let [mean, scales] = row(scene, i);
-    centers.iter().any(|center| (axes * (*center - mean) / scales).length_squared() < INSIDE * INSIDE)
+    points.iter().fold([f64::INFINITY; 2], |[inside, beside], point| {
+        let local = axes * (*point - mean);
+        let deviation = (local * scales).length() / local.length_squared();
+        [inside.min((local / scales).length()), beside.min(1.0 / deviation)]
+    })
 }
 
 /// Distance of the `ENOUGH`th nearest Gaussian, or 0.
@@ -219,6 +248,25 @@ mod tests {
         given.scales[1] = [0.1; 3];
         assert_eq!(free_space.clear(&mut given, &cameras), [1]);
         assert_eq!(given.opacities, [0.0, 0.0, 0.5, 0.5]);
+    }
+
+    #[test]
+    fn wide_gaussians_beside_cameras_are_narrowed() {
+        let cameras = [camera(0.0), camera(1.0)];
+        // Far from the cameras, but not in their direction.
+        let mut wide = scene(vec![[2.0, 1.0, -1.0]]);
+        wide.scales[0] = [1.8, 0.05, 0.05];
+        assert!(FreeSpace::new(&wide, &cameras).clear(&mut wide.clone(), &cameras).is_empty());
+        let free_space = FreeSpace::new(&scene(Vec::new()), &cameras);
+        let was = wide.clone();
+        assert_eq!(free_space.clear(&mut wide, &cameras), [0]);
+        assert_eq!((&wide.means, &wide.opacities), (&was.means, &was.opacities));
+        // Its extent is largest towards the place halfway between.
+        let extent = (2.7f64.powi(2) + 2.0 * 0.05f64.powi(2)).sqrt() / 4.25;
+        for (now, then) in wide.scales[0].iter().zip(was.scales[0]) {
+            assert!((f64::from(now / then) - 0.99 / (BESIDE * extent)).abs() < 1e-6, "{now} of {then}");
+        }
+        assert!(free_space.clear(&mut wide, &cameras).is_empty());
     }
 
     #[test]
