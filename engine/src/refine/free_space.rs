@@ -70,7 +70,7 @@ impl FreeSpace {
         Self { places, depths, distances, around }
     }
 
-    /// Pushes floaters back to the initial scene's depth, where they look alike to their camera, and
+    /// Pushes floaters back to the initial scene's depth, unchanged to their camera, and
     /// narrows those beside a camera. Makes those around or near one invisible. Returns their
     /// indices. `cameras` are those of [`FreeSpace::new`], moved or not.
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {

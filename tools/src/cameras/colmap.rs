@@ -104,8 +104,8 @@ impl Mapping {
         Self { seed: 1, first_angle: 8, first_points: 50, points: 20, refines_lens: true },
         Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true },
     ];
-    /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. From some first pairs
-    /// bundle adjustment ends in a wrong local minimum, so two thresholds are tried.
+    /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. From some first
+    /// pairs, bundle adjustment ends in a wrong minimum: two thresholds give different ones.
     pub const FIXED_LENS: [Self; 2] =
         [Self { refines_lens: false, ..Self::ALL[0] }, Self { refines_lens: false, ..Self::ALL[2] }];
 }
