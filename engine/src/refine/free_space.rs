@@ -43,7 +43,7 @@ pub(super) struct FreeSpace {
 #[derive(Clone, Copy)]
 enum Correction {
     Hide,
-    /// Moves and enlarges by a factor, seen from a place.
+    /// Distance from a place and size, multiplied by a factor.
     Push(DVec3, f64),
     Scale(f64),
 }
@@ -70,8 +70,8 @@ impl FreeSpace {
         Self { places, depths, distances, around }
     }
 
-    /// Pushes floaters back to the initial scene's depth, unchanged to their camera, and
-    /// narrows those beside a camera. Makes those around or near one invisible. Returns their
+    /// Pushes floaters back to the initial scene's depth, at the same size in their camera's
+    /// picture, narrows those beside a camera, and hides those around or near one. Returns their
     /// indices. `cameras` are those of [`FreeSpace::new`], moved or not.
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
@@ -98,7 +98,7 @@ impl FreeSpace {
             if inside < INSIDE || is_new && is_near(i) {
                 return Some(Correction::Hide);
             }
-            // Slightly narrower than needed, for rounding.
+            // Narrower than needed, for rounding.
             let narrowed = || (beside < BESIDE).then_some(Correction::Scale(0.99 * beside / BESIDE));
             pushed(&scene.means[i]).or_else(narrowed)
         };
@@ -154,8 +154,7 @@ fn deviations(scene: &Scene, i: usize, points: &[DVec3]) -> [f64; 2] {
     let [mean, scales] = row(scene, i);
     points.iter().fold([f64::INFINITY; 2], |[inside, beside], point| {
         let local = axes * (*point - mean);
-        let deviation = (local * scales).length() / local.length_squared();
-        [inside.min((local / scales).length()), beside.min(1.0 / deviation)]
+        [inside.min((local / scales).length()), beside.min(local.length_squared() / (local * scales).length())]
     })
 }
 
@@ -253,7 +252,7 @@ mod tests {
     #[test]
     fn wide_gaussians_beside_cameras_are_narrowed() {
         let cameras = [camera(0.0), camera(1.0)];
-        // Far from the cameras, but not in their direction.
+        // A needle that passes the cameras at a distance.
         let mut wide = scene(vec![[2.0, 1.0, -1.0]]);
         wide.scales[0] = [1.8, 0.05, 0.05];
         assert!(FreeSpace::new(&wide, &cameras).clear(&mut wide.clone(), &cameras).is_empty());

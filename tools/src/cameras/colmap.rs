@@ -53,8 +53,8 @@ pub enum Matching {
 }
 
 impl Matching {
-    /// Growth of the number of photos or points after which COLMAP repeats global bundle adjustment:
-    /// its default, and its own value for videos.
+    /// Growth of the number of photos or points after which COLMAP repeats global bundle
+    /// adjustment: its default, and its own value for videos.
     fn bundle_adjustment_ratio(self) -> f64 {
         match self {
             Self::Exhaustive => 1.1,
@@ -105,7 +105,7 @@ impl Mapping {
         Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true },
     ];
     /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. From some first
-    /// pairs, bundle adjustment ends in a wrong minimum: two thresholds give different ones.
+    /// pairs, bundle adjustment ends in a wrong minimum; the second thresholds choose another pair.
     pub const FIXED_LENS: [Self; 2] =
         [Self { refines_lens: false, ..Self::ALL[0] }, Self { refines_lens: false, ..Self::ALL[2] }];
 }
