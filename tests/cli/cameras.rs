@@ -11,12 +11,12 @@ use zipsplat_tests::processes::{child, target};
 pub const OPTIONS_3: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
     "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
-    "--Mapper.min_model_size arg --Mapper.ba_global_images_ratio arg",
+    "--Mapper.tri_ignore_two_view_tracks arg --Mapper.ba_global_images_ratio arg --Mapper.ba_global_function_tolerance arg",
 ];
 const OPTIONS_4: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --FeatureExtraction.use_gpu arg --FeatureExtraction.max_image_size arg",
     "--FeatureMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
-    "--Mapper.min_model_size arg --Mapper.ba_global_frames_ratio arg",
+    "--Mapper.tri_ignore_two_view_tracks arg --Mapper.ba_global_frames_ratio arg --Mapper.ba_global_function_tolerance arg",
 ];
 pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 
@@ -133,9 +133,15 @@ fn cameras_are_what_colmap_found() {
     assert!(three.contains("--SiftExtraction.use_gpu 0") && three.contains("--SiftMatching.use_gpu 0"), "{three}");
     assert!(four.contains("--FeatureExtraction.use_gpu 0") && four.contains("--FeatureMatching.use_gpu 0"), "{four}");
     assert!(!three.contains("--Feature") && !four.contains("--Sift"), "{three}{four}");
-    assert!(three.contains("--Mapper.ba_global_images_ratio 1.1"), "{three}");
-    assert!(four.contains("--Mapper.ba_global_frames_ratio 1.1"), "{four}");
+    for (args, counted) in [(&three, "images"), (&four, "frames")] {
+        let ratio = format!("_tracks 0 --Mapper.ba_global_{counted}_ratio 1.1");
+        assert!(args.contains(&ratio) && args.contains("tolerance 0\n"), "{args}");
+    }
     assert!(three.lines().all(|line| line.starts_with("offscreen ")), "{three}");
+    folder.run("cameras @/place/images --colmap @/three --matching sequential -o @/video.json").success();
+    let video = args(&folder, "three");
+    let words = "_tracks 1 --Mapper.ba_global_images_ratio 1.4 --Mapper.ba_global_function_tolerance 0.00001\n";
+    assert!(video.contains(words), "{video}");
     folder.write("place/points.ply", "another's");
     let line = "cameras @/place/images --colmap @/three -o @/place/transforms.json";
     folder.run(line).fails(3, &["file to replace", "points.ply", "--overwrite"]);
@@ -166,7 +172,8 @@ exit 0
     let args = args(&folder, "python");
     assert_eq!(
         args,
-        "features 1600 8192\nall \ncameras 0 16 100 30 1 1.1\nfeatures 800 8192\nnear \ncameras 0 16 100 30 1 1.4\n"
+        "features 1600 8192\nall \ncameras 0 16 100 30 1 0 1.1 0 5\n\
+         features 800 8192\nnear \ncameras 0 16 100 30 1 1 1.4 0.00001 2\n"
     );
 }
 

@@ -11,10 +11,10 @@ Finished runs are read from FOLDER. Needs Pillow and a built zipsplat, or $ZIPSP
 
 OpenSplat ignores principal points: its crops have eval's scale but are centered on them, without
 the few rows or columns that the photo lacks. Sides are multiples of 4, since training starts at a
-quarter of the size. By default it doubles the size after 3,000 and 6,000 steps. A pilot of 200
-steps measures its speed, on one thread. Runs are repeated with corrected numbers of steps until one
-ends with at least 90 % of the CPU time. At the limit a run is killed; its last saved scene counts
-if no run ends in time. For zipsplat's black background, build OpenSplat with zeros as
+quarter of the size. By default it doubles the size after 3,000 and 6,000 steps. On one thread, 200
+steps measure its speed for the shortest time. Runs are repeated with corrected numbers of steps
+until one ends with at least 90 % of the CPU time. At the limit a run is killed; its last saved
+scene counts if no run ends in time. For zipsplat's black background, build OpenSplat with zeros as
 backgroundColor in model.hpp.
 """
 
@@ -154,8 +154,14 @@ def train(args, data, steps, limit):
     return scene, saved, reached, cpu
 
 
-def opensplat(args, capture, ours, folder):
-    limit, steps = round(ours["cpu"]), PILOT_STEPS
+def steps_within(limit, steps, cpu):
+    """Later steps are slower than the given ones: the scene and the photos grow."""
+    return max(20, round(0.95 * steps * (limit / cpu) ** 0.8))
+
+
+def opensplat(args, capture, ours, shorter, folder):
+    limit = round(ours["cpu"])
+    steps = steps_within(limit, shorter["steps"], shorter["cpu"]) if shorter else PILOT_STEPS
     with tempfile.TemporaryDirectory() as data:
         export(args, capture, ours["inputs"], Path(data))
         for _ in range(TRIES):
@@ -163,8 +169,7 @@ def opensplat(args, capture, ours, folder):
             print(f"{capture.name}: {reached} of {steps} steps in {cpu:.0f} of {limit} CPU seconds", file=sys.stderr)
             if saved == steps and cpu >= 0.9 * limit:
                 break
-            # Later steps are slower: the scene and the photos grow.
-            steps = max(20, round(0.95 * reached * (limit / cpu) ** 0.8))
+            steps = steps_within(limit, reached, cpu)
         if not scene:
             sys.exit(f"{args.opensplat} saved no scene in {limit} CPU seconds")
         said, _ = evaluate(args, capture, folder, "--scene", scene, "--scene-frame", "input-cameras", "--drop-invalid")
@@ -189,10 +194,11 @@ def main():
     lines = ["| capture | time | system | CPU time | steps | Gaussians | PSNR | SSIM |", "|---|---|---|---|---|---|---|---|"]
     print("\n".join(lines), flush=True)
     for capture in args.captures:
+        peer = None
         for seconds in args.seconds:
             folders = [args.out / f"{capture.name}.{seconds}.{system}" for system in ("ours", "opensplat")]
             ours = finished(folders[0], lambda place: refine(args, capture, seconds, place))  # noqa: B023
-            peer = finished(folders[1], lambda place: opensplat(args, capture, ours, place))  # noqa: B023
+            peer = finished(folders[1], lambda place: opensplat(args, capture, ours, peer, place))  # noqa: B023
             for system, said in (("ours", ours), ("OpenSplat", peer)):
                 mean, counts = said["mean"], f"{said['cpu']:.0f} s | {said['steps']:,} | {said['gaussians']:,}"
                 lines.append(f"| {capture.name} | {seconds} s | {system} | {counts} | {mean['psnr']:.2f} dB | {mean['ssim']:.3f} |")

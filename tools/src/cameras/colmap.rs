@@ -53,12 +53,14 @@ pub enum Matching {
 }
 
 impl Matching {
-    /// Growth of the number of photos or points after which COLMAP repeats global bundle
-    /// adjustment: its default, and its own value for videos.
-    fn bundle_adjustment_ratio(self) -> f64 {
+    /// Settings of bundle adjustment: whether it ignores points that only two photos see, growth of
+    /// the number of photos or points after which it is global, relative decrease of the error that
+    /// ends it, and number of repetitions. First COLMAP's defaults, but few photos need all points.
+    /// With them, a long video takes hours in which the error hardly decreases.
+    fn bundle_adjustment(self) -> [f64; 4] {
         match self {
-            Self::Exhaustive => 1.1,
-            Self::Sequential => 1.4,
+            Self::Exhaustive => [0.0, 1.1, 0.0, 5.0],
+            Self::Sequential => [1.0, 1.4, 1e-5, 2.0],
         }
     }
 }
@@ -191,7 +193,7 @@ impl Colmap {
                 (Step::Matches, Matching::Sequential) => ("near", Vec::new()),
                 (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens }), _) => {
                     let whole = [seed, first_angle, first_points, points, refines_lens.into()].map(f64::from);
-                    ("cameras", [&whole[..], &[pairs.bundle_adjustment_ratio()]].concat())
+                    ("cameras", [&whole[..], &pairs.bundle_adjustment()].concat())
                 }
             };
             command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(f64::to_string));
@@ -217,25 +219,25 @@ impl Colmap {
             (Step::Matches, Matching::Sequential) => {
                 ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0.0)])
             }
-            // Two-view points matter where photos are few, and initialize refinement.
-            (Step::Cameras(mapping), _) => (
-                "mapper",
-                vec![
+            (Step::Cameras(mapping), _) => {
+                let [ignores_pairs, growth, tolerance, repetitions] = pairs.bundle_adjustment();
+                let options: Vec<(&[&str], f64)> = vec![
                     (&["Mapper.min_model_size"], 2.0),
-                    (&["Mapper.tri_ignore_two_view_tracks"], 0.0),
                     (&["Mapper.random_seed", "default_random_seed", "random_seed"], mapping.seed.into()),
                     (&["Mapper.init_min_tri_angle"], mapping.first_angle.into()),
                     (&["Mapper.init_min_num_inliers"], mapping.first_points.into()),
                     (&["Mapper.abs_pose_min_num_inliers"], mapping.points.into()),
                     (&["Mapper.ba_refine_focal_length"], mapping.refines_lens.into()),
                     (&["Mapper.ba_refine_extra_params"], mapping.refines_lens.into()),
-                    (
-                        &["Mapper.ba_global_frames_ratio", "Mapper.ba_global_images_ratio"],
-                        pairs.bundle_adjustment_ratio(),
-                    ),
-                    (&["Mapper.ba_global_points_ratio"], pairs.bundle_adjustment_ratio()),
-                ],
-            ),
+                    (&["Mapper.tri_ignore_two_view_tracks"], ignores_pairs),
+                    (&["Mapper.ba_global_frames_ratio", "Mapper.ba_global_images_ratio"], growth),
+                    (&["Mapper.ba_global_points_ratio"], growth),
+                    (&["Mapper.ba_global_function_tolerance"], tolerance),
+                    (&["Mapper.ba_local_function_tolerance"], tolerance),
+                    (&["Mapper.ba_global_max_refinements"], repetitions),
+                ];
+                ("mapper", options)
+            }
         };
         let help = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]), stage)?;
         let has = |name: &&&str| help.split_whitespace().any(|word| word.strip_prefix("--") == Some(**name));

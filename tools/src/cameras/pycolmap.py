@@ -17,20 +17,24 @@ def with_sift(side, features):
     return {"sift_options": options}
 
 
-def mapped_with(seed, first_angle, first_points, points, refines_lens, bundle_adjustment_ratio):
+def mapped_with(seed, first_angle, first_points, points, refines_lens, ignores_pairs, growth, tolerance, repetitions):
     """The options of mapping."""
     pycolmap.set_random_seed(seed)
     options = pycolmap.IncrementalPipelineOptions()
     options.min_model_size = 2
-    options.triangulation.ignore_two_view_tracks = False
     options.mapper.init_min_tri_angle = first_angle
     options.mapper.init_min_num_inliers = first_points
     options.mapper.abs_pose_min_num_inliers = points
     options.ba_refine_focal_length = options.ba_refine_extra_params = bool(refines_lens)
+    options.triangulation.ignore_two_view_tracks = bool(ignores_pairs)
     # Version 4 counts frames of several cameras.
     ratio = "ba_global_frames_ratio" if hasattr(options, "ba_global_frames_ratio") else "ba_global_images_ratio"
-    setattr(options, ratio, bundle_adjustment_ratio)
-    options.ba_global_points_ratio = bundle_adjustment_ratio
+    setattr(options, ratio, growth)
+    options.ba_global_points_ratio = growth
+    options.ba_global_max_refinements = repetitions
+    for name in ("ba_global_function_tolerance", "ba_local_function_tolerance"):
+        if hasattr(options, name):
+            setattr(options, name, tolerance)
     return options
 
 
