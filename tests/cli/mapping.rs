@@ -169,3 +169,42 @@ fn masks_are_given_by_colmaps_names() {
     assert!(args.lines().next().is_some_and(|line| line.contains("--ImageReader.mask_path")), "{args}");
     assert_eq!(folder.text("colmap.masks").matches("same").count(), 4, "{}", folder.text("colmap.masks"));
 }
+
+#[test]
+fn cameras_of_long_videos_follow_from_keyframes() {
+    let folder = Folder::new();
+    folder.make("frames");
+    let names: Vec<String> = (0..201).map(|i| format!("0/{i:06}.png")).collect();
+    for i in 0..names.len() {
+        crate::photo(40, 30, 1).save_png(folder.path(&format!("frames/{i:03}.png"))).expect("a photo");
+    }
+    let copies = crate::cameras::COPIES;
+    let mapper = format!("cp \"${{out%/*}}/keyframes.txt\" \"$0.keys\"; {copies}");
+    colmap(&folder, "video", "3.8", OPTIONS_3, ["", "", &mapper]);
+    let camera = zipsplat_tests::scenes::camera(40, 30);
+    let frames: Vec<_> = names.iter().map(|name| (name.as_str(), &camera)).collect();
+    let registered = |count: usize| {
+        model(&folder.path("video.model/0"), &frames[..count]);
+        let json = folder.run("cameras @/frames --colmap @/video -o @/video.json --overwrite --json").json();
+        let args: Vec<String> = args(&folder, "video").lines().map(str::to_owned).collect();
+        folder.remove("video.args");
+        assert_eq!(json["registered"], count);
+        args
+    };
+    let lines = registered(201);
+    let keys = folder.text("video.keys");
+    assert!(keys.lines().eq(names.iter().step_by(2)), "{keys}");
+    let words = |verb: &str| lines.iter().filter(|line| line.contains(verb)).cloned().collect::<Vec<_>>();
+    let ([mapper], [others]) = (&words(" mapper ")[..], &words(" image_registrator ")[..]) else { panic!("{lines:?}") };
+    assert!(mapper.contains("keyframes.txt"), "{mapper}");
+    let [_, path] = others.split(" --input_path ").collect::<Vec<_>>()[..] else { panic!("{others}") };
+    let (from, to) = path.split_once(" --output_path ").expect("an output");
+    assert!(from == to && from.ends_with("sparse0/0"), "{others}");
+    // Too few: all photos are mapped.
+    let mappers: Vec<bool> = registered(150)
+        .iter()
+        .filter(|line| line.contains(" mapper "))
+        .map(|line| line.contains("keyframes"))
+        .collect();
+    assert_eq!(mappers, [true, false, false]);
+}

@@ -1,17 +1,19 @@
-//! COLMAP's commands, and progress from its output.
+//! COLMAP's commands.
 
 use crate::{masks::MaskArgs, process, session::Stage};
 use clap::{Args, ValueEnum};
 use std::{
     fmt,
     path::{Path, PathBuf},
-    process::{Command, ExitStatus},
+    process::Command,
 };
 use zipsplat::{Error, Result};
 
 const PYCOLMAP: &str = include_str!("pycolmap.py");
 /// Named after images, with `.png` appended.
 pub(super) const MASKS: &str = "masks";
+/// Names of the images to map first.
+pub(super) const KEYFRAMES: &str = "keyframes.txt";
 /// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
 /// Photos per matching block: smaller blocks report progress more often.
@@ -70,6 +72,8 @@ pub enum Step {
     Features,
     Matches,
     Cameras(Mapping),
+    /// Of images that were not mapped.
+    OtherCameras,
 }
 
 /// Mapper settings of an attempt. COLMAP samples at random; its defaults suit much overlap.
@@ -83,28 +87,16 @@ pub struct Mapping {
     /// Points that a further photo must see.
     points: u32,
     pub refines_lens: bool,
+    /// Maps only keyframes, if there are any.
+    pub keyframes: bool,
 }
-
-#[derive(Default)]
-pub struct ColmapOutput {
-    pub features: Vec<usize>,
-    pub pairs: Option<usize>,
-    no_start: bool,
-    /// The disk was full; COLMAP 3 reports that without failing.
-    pub no_room: bool,
-    pairs_follow: bool,
-    last: Vec<String>,
-}
-
-/// Log lines in an error.
-const LAST: usize = 3;
 
 impl Mapping {
     /// Attempts in order, COLMAP's own thresholds first.
     pub const ALL: [Self; 3] = [
-        Self { seed: 0, first_angle: 16, first_points: 100, points: 30, refines_lens: true },
-        Self { seed: 1, first_angle: 8, first_points: 50, points: 20, refines_lens: true },
-        Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true },
+        Self { seed: 0, first_angle: 16, first_points: 100, points: 30, refines_lens: true, keyframes: true },
+        Self { seed: 1, first_angle: 8, first_points: 50, points: 20, refines_lens: true, keyframes: false },
+        Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true, keyframes: false },
     ];
     /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. From some first
     /// pairs, bundle adjustment ends in a wrong minimum; the second thresholds choose another pair.
@@ -117,7 +109,7 @@ impl Step {
         match self {
             Self::Features => "find features",
             Self::Matches => "match photos",
-            Self::Cameras(_) => "find cameras",
+            Self::Cameras(_) | Self::OtherCameras => "find cameras",
         }
     }
 }
@@ -175,7 +167,11 @@ impl Colmap {
         &self.program
     }
 
-    /// `folder` has `images`, may have `masks` and gets `database.db`; models go to `models`.
+    pub fn can_map_keyframes(&self) -> bool {
+        !self.python
+    }
+
+    /// `folder` has `images`, may have `masks` and `keyframes.txt`, and gets `database.db`; models go to `models`.
     pub fn command(
         &self,
         step: Step,
@@ -191,7 +187,8 @@ impl Colmap {
                 (Step::Features, _) => ("features", vec![side.into(), FEATURES.into()]),
                 (Step::Matches, Matching::Exhaustive) => ("all", Vec::new()),
                 (Step::Matches, Matching::Sequential) => ("near", Vec::new()),
-                (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens }), _) => {
+                (Step::OtherCameras, _) => unreachable!("keyframes are not mapped with pycolmap"),
+                (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens, .. }), _) => {
                     let whole = [seed, first_angle, first_points, points, refines_lens.into()].map(f64::from);
                     ("cameras", [&whole[..], &pairs.bundle_adjustment()].concat())
                 }
@@ -238,18 +235,28 @@ impl Colmap {
                 ];
                 ("mapper", options)
             }
+            (Step::OtherCameras, _) => ("image_registrator", Vec::new()),
         };
         let help = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]), stage)?;
         let has = |name: &&&str| help.split_whitespace().any(|word| word.strip_prefix("--") == Some(**name));
         command.arg(verb).arg("--database_path").arg(folder.join("database.db"));
-        if step != Step::Matches {
-            command.arg("--image_path").arg(folder.join("images"));
+        match step {
+            Step::Matches => {}
+            Step::OtherCameras => {
+                command.arg("--input_path").arg(models).arg("--output_path").arg(models);
+            }
+            Step::Features | Step::Cameras(_) => {
+                command.arg("--image_path").arg(folder.join("images"));
+            }
         }
         if step == Step::Features && folder.join(MASKS).is_dir() {
             command.arg("--ImageReader.mask_path").arg(folder.join(MASKS));
         }
-        if verb == "mapper" {
+        if let Step::Cameras(mapping) = step {
             command.arg("--output_path").arg(models);
+            if mapping.keyframes && folder.join(KEYFRAMES).is_file() {
+                command.arg("--image_list_path").arg(folder.join(KEYFRAMES));
+            }
         }
         // Option names vary by version; unknown ones are omitted.
         for (names, value) in options {
@@ -271,118 +278,5 @@ fn install() -> &'static str {
         () if cfg!(target_os = "macos") => "brew install colmap",
         () if Path::new("/etc/debian_version").exists() => "sudo apt install --no-install-recommends colmap",
         () => "conda install -c conda-forge colmap",
-    }
-}
-
-impl ColmapOutput {
-    /// Returns the step's finished fraction if the line has one.
-    pub fn hear(&mut self, line: &str, photos: usize) -> Option<f64> {
-        // Strips glog's prefix.
-        let text =
-            line.split_once("] ").filter(|(head, _)| head.contains(".cc:")).map_or(line, |(_, text)| text).trim();
-        if std::mem::take(&mut self.pairs_follow) {
-            self.pairs = number(text);
-        }
-        if let Some(rest) = text.strip_prefix("Features:") {
-            self.features.extend(number(rest));
-        } else if let Some(rest) = text.strip_prefix("Loading matches...") {
-            self.pairs = number(rest);
-            self.pairs_follow = self.pairs.is_none();
-        }
-        self.no_start |= text.contains("No good initial image pair found") || text.contains("failed to create sparse");
-        self.no_room |= ["disk is full", "No space left"].iter().any(|words| text.contains(words));
-        let far = progress(text, photos);
-        if far.is_none() && text.contains(char::is_alphanumeric) && !text.starts_with("Elapsed time") {
-            self.last.push(text.to_owned());
-            self.last.drain(..self.last.len().saturating_sub(LAST));
-        }
-        far
-    }
-
-    pub fn found_nothing(&mut self, step: Step, status: ExitStatus) -> bool {
-        let no_start = std::mem::take(&mut self.no_start);
-        matches!(step, Step::Cameras(_)) && no_start && status.code() == Some(1)
-    }
-
-    pub fn last_words(&self) -> String {
-        self.last.join("; ")
-    }
-}
-
-/// Parses a leading number.
-fn number(text: &str) -> Option<usize> {
-    let text = text.trim_start();
-    text[..text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())].parse().ok()
-}
-
-/// Returns the fraction in `Processed file [3/11]`, `Matching block [1/2, 2/2]`, `Registering image
-/// #6 (3)` (COLMAP 3), `(num_reg_frames=3)` (COLMAP 4).
-fn progress(text: &str, photos: usize) -> Option<f64> {
-    if text.starts_with("Registering image") {
-        let inside = text.split_once('(')?.1;
-        let count = number(inside.trim_start_matches(|c: char| !c.is_ascii_digit()))?;
-        return Some((count as f64 / photos as f64).min(1.0));
-    }
-    if !["Processed file [", "Matching ", "Processing "].iter().any(|start| text.starts_with(start)) {
-        return None;
-    }
-    let counters = text.split_once('[')?.1.split_once(']')?.0;
-    let (mut done, mut part) = (0.0, 1.0);
-    let mut counters = counters.split(',').peekable();
-    while let Some(counter) = counters.next() {
-        let (at, of) = counter.split_once('/')?;
-        let (at, of): (f64, f64) = (at.trim().parse().ok()?, of.trim().parse().ok()?);
-        // Counters except the last name the unfinished item.
-        let at = if counters.peek().is_some() { at - 1.0 } else { at };
-        part /= of.max(1.0);
-        done += at * part;
-    }
-    Some(done.clamp(0.0, 1.0))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn progress_is_read_from_words_of_both_versions() {
-        for (line, far) in [
-            ("Processed file [3/12]", Some(0.25)),
-            ("I20261123 01:43:37.080578 140044044068544 feature_extraction.cc:270] Processed file [6/12]", Some(0.5)),
-            ("Matching block [1/2, 1/2] in 1.2s", Some(0.25)),
-            ("Matching block [2/2, 2/2] in 1.2s", Some(1.0)),
-            ("I20261123 01:43:40.5 1 pairing.cc:214] Processing block [2/2, 1/2]", Some(0.75)),
-            ("Matching image [1/4] in 0.1s", Some(0.25)),
-            ("Registering image #6 (3)", Some(0.3)),
-            ("I20261123 01:43:43.3 1 incremental_pipeline.cc:620] Registering image #6 (num_reg_frames=5)", Some(0.5)),
-            ("  Name:            001.jpg", None),
-            ("Processed file [a/b]", None),
-        ] {
-            assert_eq!(ColmapOutput::default().hear(line, 10), far, "{line}");
-        }
-    }
-
-    #[test]
-    fn pairs_and_features_are_counted() {
-        let mut output = ColmapOutput::default();
-        let lines = [
-            "  Features:        2666",
-            "I2 1 2 feature_extraction.cc:294]   Features:        31 (SIFT)",
-            "Loading matches... 49 in 0.000s",
-        ];
-        for line in lines {
-            output.hear(line, 3);
-        }
-        assert_eq!((&output.features[..], output.pairs), (&[2666, 31][..], Some(49)));
-        output.hear("I2 1 2 database_cache.cc:144] Loading matches...", 3);
-        output.hear("I2 1 2 database_cache.cc:163]  48 in 0.000s", 3);
-        assert_eq!(output.pairs, Some(48));
-        assert!(!output.no_start);
-        output.hear("ERROR: failed to create sparse model", 3);
-        assert!(
-            output.no_start && output.last_words().ends_with("failed to create sparse model"),
-            "{}",
-            output.last_words()
-        );
     }
 }

@@ -1,5 +1,6 @@
 use super::{
-    colmap::{Colmap, ColmapOutput, Mapping, Matching, Searching, Step},
+    colmap::{Colmap, Mapping, Matching, Searching, Step},
+    colmap_output::ColmapOutput,
     work::Work,
 };
 use crate::{
@@ -38,6 +39,9 @@ const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
+/// Most keyframes of a video: the cost of bundle adjustment is quadratic in photos of one place. The
+/// cameras of other photos follow from the keyframes' points.
+const MAX_KEYFRAMES: usize = 200;
 /// Number of photos up to which every unregistered photo justifies a retry.
 const FEW_PHOTOS: usize = 12;
 /// Registered fraction that needs no retry, for more photos.
@@ -96,6 +100,8 @@ struct Search<'a> {
     work: &'a Work,
     pairs: Matching,
     side: u32,
+    /// Number of photos to map first.
+    keyframes: usize,
     log: Log,
     output: ColmapOutput,
     times: Vec<(&'static str, Duration)>,
@@ -217,12 +223,16 @@ impl<'a> Search<'a> {
             Matching::Exhaustive
         });
         let side = searching.matching_size.unwrap_or(SIDE);
-        Ok(Self { colmap, work, pairs, side, log: Log::new()?, output: ColmapOutput::default(), times: Vec::new() })
+        let is_video = pairs == Matching::Sequential && colmap.can_map_keyframes();
+        let keyframes = if is_video { work.choose_keyframes(MAX_KEYFRAMES)? } else { work.photos.len() };
+        let (log, output) = (Log::new()?, ColmapOutput::default());
+        Ok(Self { colmap, work, pairs, side, keyframes, log, output, times: Vec::new() })
     }
 
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
-        let photos = self.work.photos.len();
+        let maps_keyframes = matches!(step, Step::Cameras(Mapping { keyframes: true, .. }));
+        let photos = if maps_keyframes { self.keyframes } else { self.work.photos.len() };
         let (log, output) = (&mut self.log, &mut self.output);
         let (status, took) = session.stage(step.name(), |stage| {
             let mut command = self.colmap.command(step, folders, (self.pairs, self.side), stage)?;
@@ -243,8 +253,8 @@ impl<'a> Search<'a> {
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
 
-    /// Returns the groups, largest first, and the number of attempts. Retries if few photos are
-    /// joined, and with a fixed lens if the focal length is implausible.
+    /// Returns the groups, largest first, and the number of attempts. Retries with all photos if few
+    /// are joined, and with a fixed lens if the focal length is implausible.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Capture>, usize)> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
@@ -259,6 +269,13 @@ impl<'a> Search<'a> {
                 // The log has the reason.
                 Some(_) => break,
                 None => {}
+            }
+            if mapping.keyframes && self.keyframes < photos {
+                for model in model_folders(&models)? {
+                    if let Some(status) = self.run(session, Step::OtherCameras, &model)? {
+                        return Err(self.failure(Step::OtherCameras, status));
+                    }
+                }
             }
             let mut models = models_of(&models)?;
             models.sort_by_key(|model| Reverse(model.frames.len()));
@@ -331,17 +348,21 @@ fn nothing(photos: usize, output: &ColmapOutput) -> Error {
     Error::argument(format!("cameras of {photos} photos"), format!("none: {why}"), expected)
 }
 
-fn models_of(folder: &Path) -> Result<Vec<Capture>> {
+fn model_folders(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |source| Error::io(folder, source);
     let mut folders = Vec::new();
     for entry in folder.read_dir().map_err(failed)? {
         folders.push(entry.map_err(failed)?.path());
     }
+    folders.retain(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
     folders.sort();
-    let models =
-        folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
+    Ok(folders)
+}
+
+fn models_of(folder: &Path) -> Result<Vec<Capture>> {
     // COLMAP may write small groups with impossible lenses; the others stay usable.
-    let (found, mut failed): (Vec<_>, Vec<_>) = models.map(Capture::open).partition(Result::is_ok);
+    let (found, mut failed): (Vec<_>, Vec<_>) =
+        model_folders(folder)?.iter().map(Capture::open).partition(Result::is_ok);
     match failed.pop() {
         Some(error) if found.is_empty() => error.map(|_| Vec::new()),
         _ => Ok(found.into_iter().flatten().filter(|poses| !poses.frames.is_empty()).collect()),

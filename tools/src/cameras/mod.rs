@@ -1,4 +1,5 @@
 mod colmap;
+mod colmap_output;
 mod find;
 mod network;
 mod paths;

@@ -1,4 +1,4 @@
-use super::colmap::MASKS;
+use super::colmap::{KEYFRAMES, MASKS};
 use crate::{outputs::make_folder, scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
@@ -47,6 +47,18 @@ impl Work {
             Ok(())
         })?;
         Ok(work)
+    }
+
+    /// Lists at most that many photos at equal distances; returns their number. Distances are powers
+    /// of two, at which COLMAP matches frames.
+    pub fn choose_keyframes(&self, most: usize) -> Result<usize> {
+        let distance = self.photos.len().div_ceil(most).next_power_of_two();
+        let names: Vec<&str> = self.photos.iter().step_by(distance).map(|(_, name)| name.as_str()).collect();
+        if distance > 1 {
+            let path = self.folder.path().join(KEYFRAMES);
+            std::fs::write(&path, names.join("\n")).map_err(|source| Error::io(&path, source))?;
+        }
+        Ok(names.len())
     }
 
     /// Also returns the photos without a camera. Names are the photos' own paths.
