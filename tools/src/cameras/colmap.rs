@@ -72,7 +72,7 @@ pub enum Step {
     Features,
     Matches,
     Cameras(Mapping),
-    /// Of images that were not mapped.
+    /// Of unmapped images.
     OtherCameras,
 }
 
@@ -171,7 +171,8 @@ impl Colmap {
         !self.python
     }
 
-    /// `folder` has `images`, may have `masks` and `keyframes.txt`, and gets `database.db`; models go to `models`.
+    /// `folder` has `images`, may have `masks` and `keyframes.txt`, gets `database.db`; models go to
+    /// `models`.
     pub fn command(
         &self,
         step: Step,

@@ -39,8 +39,8 @@ const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Most keyframes of a video: the cost of bundle adjustment is quadratic in photos of one place. The
-/// cameras of other photos follow from the keyframes' points.
+/// Bundle adjustment is quadratic in photos of one place, so a video's other cameras follow from the
+/// points of keyframes.
 const MAX_KEYFRAMES: usize = 200;
 /// Number of photos up to which every unregistered photo justifies a retry.
 const FEW_PHOTOS: usize = 12;
@@ -253,8 +253,8 @@ impl<'a> Search<'a> {
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
 
-    /// Returns the groups, largest first, and the number of attempts. Retries with all photos if few
-    /// are joined, and with a fixed lens if the focal length is implausible.
+    /// Returns the groups, largest first, and the number of attempts. Retries with all photos if
+    /// few are joined, and with a fixed lens if the focal length is implausible.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Capture>, usize)> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };

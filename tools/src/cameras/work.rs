@@ -49,8 +49,8 @@ impl Work {
         Ok(work)
     }
 
-    /// Lists at most that many photos at equal distances; returns their number. Distances are powers
-    /// of two, at which COLMAP matches frames.
+    /// Lists at most `most` photos at equal distances, a power of two as in COLMAP's sequential
+    /// matching. Returns their number.
     pub fn choose_keyframes(&self, most: usize) -> Result<usize> {
         let distance = self.photos.len().div_ceil(most).next_power_of_two();
         let names: Vec<&str> = self.photos.iter().step_by(distance).map(|(_, name)| name.as_str()).collect();
