@@ -178,33 +178,31 @@ fn cameras_of_long_videos_follow_from_keyframes() {
     for i in 0..names.len() {
         crate::photo(40, 30, 1).save_png(folder.path(&format!("frames/{i:03}.png"))).expect("a photo");
     }
-    let copies = crate::cameras::COPIES;
-    let mapper = format!("cp \"${{out%/*}}/keyframes.txt\" \"$0.keys\"; {copies}");
-    colmap(&folder, "video", "3.8", OPTIONS_3, ["", "", &mapper]);
+    let mapper = format!("cp \"${{out%/*}}/keyframes.txt\" \"$0.keys\"; {}", crate::cameras::COPIES);
     let camera = zipsplat_tests::scenes::camera(40, 30);
     let frames: Vec<_> = names.iter().map(|name| (name.as_str(), &camera)).collect();
-    let registered = |count: usize| {
+    // Lines of the mapper and of the registrator.
+    let run = |count: usize, mapper: &str| {
+        colmap(&folder, "video", "3.8", OPTIONS_3, ["", "", mapper]);
         model(&folder.path("video.model/0"), &frames[..count]);
         let json = folder.run("cameras @/frames --colmap @/video -o @/video.json --overwrite --json").json();
-        let args: Vec<String> = args(&folder, "video").lines().map(str::to_owned).collect();
-        folder.remove("video.args");
         assert_eq!(json["registered"], count);
-        args
+        let args = args(&folder, "video");
+        folder.remove("video.args");
+        [" mapper ", " image_registrator "]
+            .map(|verb| args.lines().filter(|line| line.contains(verb)).map(str::to_owned).collect::<Vec<_>>())
     };
-    let lines = registered(201);
+    let [mappers, others] = run(201, &mapper);
     let keys = folder.text("video.keys");
     assert!(keys.lines().eq(names.iter().step_by(2)), "{keys}");
-    let words = |verb: &str| lines.iter().filter(|line| line.contains(verb)).cloned().collect::<Vec<_>>();
-    let ([mapper], [others]) = (&words(" mapper ")[..], &words(" image_registrator ")[..]) else { panic!("{lines:?}") };
-    assert!(mapper.contains("keyframes.txt"), "{mapper}");
-    let [_, path] = others.split(" --input_path ").collect::<Vec<_>>()[..] else { panic!("{others}") };
-    let (from, to) = path.split_once(" --output_path ").expect("an output");
-    assert!(from == to && from.ends_with("sparse0/0"), "{others}");
-    // Too few: all photos are mapped.
-    let mappers: Vec<bool> = registered(150)
-        .iter()
-        .filter(|line| line.contains(" mapper "))
-        .map(|line| line.contains("keyframes"))
-        .collect();
-    assert_eq!(mappers, [true, false, false]);
+    assert!(mappers.len() == 1 && mappers[0].contains("keyframes.txt"), "{mappers:?}");
+    let [_, paths] = others[0].split(" --input_path ").collect::<Vec<_>>()[..] else { panic!("{others:?}") };
+    let (from, to) = paths.split_once(" --output_path ").expect("an output");
+    assert!(others.len() == 1 && from == to && from.ends_with("sparse0/0"), "{others:?}");
+    // All photos are mapped if few are registered, as after a failure.
+    for mapper in [mapper.clone(), format!("{mapper};; image_registrator) exit 1")] {
+        let [mappers, others] = run(150, &mapper);
+        assert!(mappers.iter().map(|line| line.contains("keyframes")).eq([true, false, false]), "{mappers:?}");
+        assert_eq!(others.len(), 1);
+    }
 }

@@ -155,7 +155,7 @@ def train(args, data, steps, limit):
 
 
 def steps_within(limit, steps, cpu):
-    """Later steps are slower than the given ones: the scene and the photos grow."""
+    """Extrapolates from a run's steps and CPU seconds. Later steps are slower: scene and photos grow."""
     return max(20, round(0.95 * steps * (limit / cpu) ** 0.8))
 
 

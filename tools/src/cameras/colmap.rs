@@ -55,10 +55,10 @@ pub enum Matching {
 }
 
 impl Matching {
-    /// Settings of bundle adjustment: whether it ignores points that only two photos see, growth of
-    /// the number of photos or points after which it is global, relative decrease of the error that
-    /// ends it, and number of repetitions. First COLMAP's defaults, but few photos need all points.
-    /// With them, a long video takes hours in which the error hardly decreases.
+    /// Whether bundle adjustment ignores points that only two photos see, growth of the number of
+    /// photos or points between global ones, relative decrease of the error that ends one, most
+    /// repetitions. COLMAP's defaults first, except that few photos need all points; their tolerance
+    /// of 0 would take hours for a long video.
     fn bundle_adjustment(self) -> [f64; 4] {
         match self {
             Self::Exhaustive => [0.0, 1.1, 0.0, 5.0],
@@ -73,7 +73,7 @@ pub enum Step {
     Matches,
     Cameras(Mapping),
     /// Of unmapped images.
-    OtherCameras,
+    Registration,
 }
 
 /// Mapper settings of an attempt. COLMAP samples at random; its defaults suit much overlap.
@@ -87,7 +87,7 @@ pub struct Mapping {
     /// Points that a further photo must see.
     points: u32,
     pub refines_lens: bool,
-    /// Maps only keyframes, if there are any.
+    /// Maps only keyframes.
     pub keyframes: bool,
 }
 
@@ -101,7 +101,7 @@ impl Mapping {
     /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. From some first
     /// pairs, bundle adjustment ends in a wrong minimum; the second thresholds choose another pair.
     pub const FIXED_LENS: [Self; 2] =
-        [Self { refines_lens: false, ..Self::ALL[0] }, Self { refines_lens: false, ..Self::ALL[2] }];
+        [Self { refines_lens: false, ..Self::ALL[0] }, Self { refines_lens: false, keyframes: true, ..Self::ALL[2] }];
 }
 
 impl Step {
@@ -109,7 +109,7 @@ impl Step {
         match self {
             Self::Features => "find features",
             Self::Matches => "match photos",
-            Self::Cameras(_) | Self::OtherCameras => "find cameras",
+            Self::Cameras(_) | Self::Registration => "find cameras",
         }
     }
 }
@@ -171,8 +171,8 @@ impl Colmap {
         !self.python
     }
 
-    /// `folder` has `images`, may have `masks` and `keyframes.txt`, gets `database.db`; models go to
-    /// `models`.
+    /// `folder` has `images`, may have `masks` and `keyframes.txt`, and gets `database.db`. Models go
+    /// to `models`.
     pub fn command(
         &self,
         step: Step,
@@ -188,7 +188,7 @@ impl Colmap {
                 (Step::Features, _) => ("features", vec![side.into(), FEATURES.into()]),
                 (Step::Matches, Matching::Exhaustive) => ("all", Vec::new()),
                 (Step::Matches, Matching::Sequential) => ("near", Vec::new()),
-                (Step::OtherCameras, _) => unreachable!("keyframes are not mapped with pycolmap"),
+                (Step::Registration, _) => unreachable!("keyframes are not mapped with pycolmap"),
                 (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens, .. }), _) => {
                     let whole = [seed, first_angle, first_points, points, refines_lens.into()].map(f64::from);
                     ("cameras", [&whole[..], &pairs.bundle_adjustment()].concat())
@@ -236,14 +236,14 @@ impl Colmap {
                 ];
                 ("mapper", options)
             }
-            (Step::OtherCameras, _) => ("image_registrator", Vec::new()),
+            (Step::Registration, _) => ("image_registrator", Vec::new()),
         };
         let help = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]), stage)?;
         let has = |name: &&&str| help.split_whitespace().any(|word| word.strip_prefix("--") == Some(**name));
         command.arg(verb).arg("--database_path").arg(folder.join("database.db"));
         match step {
             Step::Matches => {}
-            Step::OtherCameras => {
+            Step::Registration => {
                 command.arg("--input_path").arg(models).arg("--output_path").arg(models);
             }
             Step::Features | Step::Cameras(_) => {
@@ -255,7 +255,7 @@ impl Colmap {
         }
         if let Step::Cameras(mapping) = step {
             command.arg("--output_path").arg(models);
-            if mapping.keyframes && folder.join(KEYFRAMES).is_file() {
+            if mapping.keyframes {
                 command.arg("--image_list_path").arg(folder.join(KEYFRAMES));
             }
         }

@@ -39,8 +39,8 @@ const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Bundle adjustment is quadratic in photos of one place, so a video's other cameras follow from the
-/// points of keyframes.
+/// Bundle adjustment is quadratic in photos of one place: beyond these, a video's cameras follow
+/// from the points of keyframes.
 const MAX_KEYFRAMES: usize = 200;
 /// Number of photos up to which every unregistered photo justifies a retry.
 const FEW_PHOTOS: usize = 12;
@@ -231,8 +231,10 @@ impl<'a> Search<'a> {
 
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
-        let maps_keyframes = matches!(step, Step::Cameras(Mapping { keyframes: true, .. }));
-        let photos = if maps_keyframes { self.keyframes } else { self.work.photos.len() };
+        let photos = match step {
+            Step::Cameras(Mapping { keyframes: true, .. }) => self.keyframes,
+            _ => self.work.photos.len(),
+        };
         let (log, output) = (&mut self.log, &mut self.output);
         let (status, took) = session.stage(step.name(), |stage| {
             let mut command = self.colmap.command(step, folders, (self.pairs, self.side), stage)?;
@@ -260,7 +262,8 @@ impl<'a> Search<'a> {
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
         let (mut best, mut best_rank, mut attempts) = (Vec::new(), (0, false, 0), 0);
         let mut mappings = Mapping::ALL.iter();
-        while let Some(&mapping) = mappings.next() {
+        while let Some(&(mut mapping)) = mappings.next() {
+            mapping.keyframes &= self.keyframes < photos;
             let models = self.work.folder.path().join(format!("sparse{attempts}"));
             make_folder(&models)?;
             attempts += 1;
@@ -270,11 +273,10 @@ impl<'a> Search<'a> {
                 Some(_) => break,
                 None => {}
             }
-            if mapping.keyframes && self.keyframes < photos {
+            if mapping.keyframes {
                 for model in model_folders(&models)? {
-                    if let Some(status) = self.run(session, Step::OtherCameras, &model)? {
-                        return Err(self.failure(Step::OtherCameras, status));
-                    }
+                    // A failure leaves the keyframes.
+                    self.run(session, Step::Registration, &model)?;
                 }
             }
             let mut models = models_of(&models)?;
