@@ -57,8 +57,8 @@ pub enum Matching {
 impl Matching {
     /// Whether bundle adjustment ignores points that only two photos see, growth of the number of
     /// photos or points between global ones, relative decrease of the error that ends one, most
-    /// repetitions. COLMAP's defaults first, except that few photos need all points; their tolerance
-    /// of 0 would take hours for a long video.
+    /// repetitions. COLMAP's defaults first, except that few photos need all points; with their
+    /// tolerance of 0, a long video would take hours.
     fn bundle_adjustment(self) -> [f64; 4] {
         match self {
             Self::Exhaustive => [0.0, 1.1, 0.0, 5.0],
@@ -171,8 +171,8 @@ impl Colmap {
         !self.python
     }
 
-    /// `folder` has `images`, may have `masks` and `keyframes.txt`, and gets `database.db`. Models go
-    /// to `models`.
+    /// `folder` has `images`, may have `masks` and `keyframes.txt`, and gets `database.db`. Models
+    /// go to `models`.
     pub fn command(
         &self,
         step: Step,
