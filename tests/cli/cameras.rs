@@ -36,13 +36,13 @@ pub fn colmap(folder: &Folder, name: &str, version: &str, options: [&str; 3], bo
     let text = format!(
         "#!/bin/sh
 [ \"$1\" = help ] && {{ echo 'COLMAP {version} -- Structure-from-Motion'; exit 0; }}
-[ \"$2\" = -h ] && {{ case $1 in feature_extractor) echo '{}';; *_matcher) echo '{}';; mapper) echo '{}';; esac; exit 1; }}
+[ \"$2\" = -h ] && {{ case $1 in feature_extractor) echo '{}';; matches_importer|*_matcher) echo '{}';; mapper) echo '{}';; esac; exit 1; }}
 echo \"$QT_QPA_PLATFORM $@\" >>\"$0.args\"
 step=$1
-while [ $# -gt 1 ]; do case $1 in --output_path) out=$2;; --image_path) images=$2;; esac; shift; done
+while [ $# -gt 1 ]; do case $1 in --output_path) out=$2;; --image_path) images=$2;; --match_list_path) pairs=$2;; esac; shift; done
 case $step in
 feature_extractor) {features};;
-*_matcher) {matches};;
+matches_importer|*_matcher) {matches};;
 mapper) {mapper};;
 esac
 ",

@@ -181,27 +181,39 @@ fn cameras_of_long_videos_follow_from_keyframes() {
     let mapper = format!("cp \"${{out%/*}}/keyframes.txt\" \"$0.keys\"; {}", crate::cameras::COPIES);
     let camera = zipsplat_tests::scenes::camera(40, 30);
     let frames: Vec<_> = names.iter().map(|name| (name.as_str(), &camera)).collect();
-    // Lines of the mapper and of the registrator.
+    let matcher = "[ -f \"$0.pairs\" ] || cp \"$pairs\" \"$0.pairs\"";
+    // Lines of the matchers, the mapper and the registrator.
     let run = |count: usize, mapper: &str| {
-        colmap(&folder, "video", "3.8", OPTIONS_3, ["", "", mapper]);
+        colmap(&folder, "video", "3.8", OPTIONS_3, ["", matcher, mapper]);
         model(&folder.path("video.model/0"), &frames[..count]);
         let json = folder.run("cameras @/frames --colmap @/video -o @/video.json --overwrite --json").json();
         assert_eq!(json["registered"], count);
         let args = args(&folder, "video");
         folder.remove("video.args");
-        [" mapper ", " image_registrator "]
+        ["_matcher ", " matches_importer ", " mapper ", " image_registrator "]
             .map(|verb| args.lines().filter(|line| line.contains(verb)).map(str::to_owned).collect::<Vec<_>>())
     };
-    let [mappers, others] = run(201, &mapper);
+    let [all, chosen, mappers, others] = run(201, &mapper);
     let keys = folder.text("video.keys");
     assert!(keys.lines().eq(names.iter().step_by(2)), "{keys}");
+    assert_eq!((all.len(), chosen.len()), (0, 1));
+    let pairs = folder.text("video.pairs");
+    let partners = |i: usize| {
+        let of = |pair: &str| pair.strip_prefix(&names[i])?.trim_start().to_owned().into();
+        pairs.lines().filter_map(of).collect::<Vec<String>>()
+    };
+    let expected = |places: &[usize]| places.iter().map(|i| names[*i].clone()).collect::<Vec<_>>();
+    assert_eq!(partners(7), expected(&[6, 8]));
+    assert_eq!(partners(196), expected(&[198, 200]));
+    assert_eq!(partners(0), expected(&[2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 32, 64, 128]));
     assert!(mappers.len() == 1 && mappers[0].contains("keyframes.txt"), "{mappers:?}");
     let [_, paths] = others[0].split(" --input_path ").collect::<Vec<_>>()[..] else { panic!("{others:?}") };
     let (from, to) = paths.split_once(" --output_path ").expect("an output");
     assert!(others.len() == 1 && from == to && from.ends_with("sparse0/0"), "{others:?}");
-    // All photos are mapped if few are registered, as after a failure.
+    // All neighbors are matched and all photos mapped if few are registered, as after a failure.
     for mapper in [mapper.clone(), format!("{mapper};; image_registrator) exit 1")] {
-        let [mappers, others] = run(150, &mapper);
+        let [all, chosen, mappers, others] = run(150, &mapper);
+        assert_eq!((all.len(), chosen.len()), (1, 1));
         assert!(mappers.iter().map(|line| line.contains("keyframes")).eq([true, false, false]), "{mappers:?}");
         assert_eq!(others.len(), 1);
     }

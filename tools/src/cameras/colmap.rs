@@ -14,6 +14,8 @@ const PYCOLMAP: &str = include_str!("pycolmap.py");
 pub(super) const MASKS: &str = "masks";
 /// Names of the images to map first.
 pub(super) const KEYFRAMES: &str = "keyframes.txt";
+/// Pairs of images to match, instead of all neighbors.
+pub(super) const PAIRS: &str = "pairs.txt";
 /// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
 /// Photos per matching block: smaller blocks report progress more often.
@@ -171,8 +173,8 @@ impl Colmap {
         !self.python
     }
 
-    /// `folder` has `images`, may have `masks` and `keyframes.txt`, and gets `database.db`. Models
-    /// go to `models`.
+    /// `folder` has `images`, may have `masks`, `keyframes.txt` and `pairs.txt`, and gets
+    /// `database.db`. Models go to `models`.
     pub fn command(
         &self,
         step: Step,
@@ -197,6 +199,7 @@ impl Colmap {
             command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(f64::to_string));
             return Ok(command);
         }
+        let has_pairs = folder.join(PAIRS).exists();
         let (verb, options): (_, Vec<(&[&str], f64)>) = match (step, pairs) {
             (Step::Features, _) => (
                 "feature_extractor",
@@ -215,7 +218,8 @@ impl Colmap {
                 ],
             ),
             (Step::Matches, Matching::Sequential) => {
-                ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0.0)])
+                let verb = if has_pairs { "matches_importer" } else { "sequential_matcher" };
+                (verb, vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0.0)])
             }
             (Step::Cameras(mapping), _) => {
                 let [ignores_pairs, growth, tolerance, repetitions] = pairs.bundle_adjustment();
@@ -242,6 +246,9 @@ impl Colmap {
         let has = |name: &&&str| help.split_whitespace().any(|word| word.strip_prefix("--") == Some(**name));
         command.arg(verb).arg("--database_path").arg(folder.join("database.db"));
         match step {
+            Step::Matches if has_pairs => {
+                command.arg("--match_list_path").arg(folder.join(PAIRS));
+            }
             Step::Matches => {}
             Step::Registration => {
                 command.arg("--input_path").arg(models).arg("--output_path").arg(models);

@@ -41,7 +41,7 @@ const SIDE: u32 = 1600;
 const ALL_PAIRS: usize = 100;
 /// Bundle adjustment is quadratic in photos of one place: beyond these, a video's cameras follow
 /// from the points of keyframes.
-const MAX_KEYFRAMES: usize = 200;
+const MAX_KEYFRAMES: usize = 150;
 /// Number of photos up to which every unregistered photo justifies a retry.
 const FEW_PHOTOS: usize = 12;
 /// Registered fraction that needs no retry, for more photos.
@@ -168,11 +168,8 @@ impl EstimatedCameras {
         let masks = searching.masks.given();
         let (work, _) = session.stage("prepare photos", |stage| Work::new(photos, masks.as_ref(), stage))?;
         let mut search = Search::new(searching, &colmap, &work)?;
-        for step in [Step::Features, Step::Matches] {
-            if let Some(status) = search.run(session, step, work.folder.path())? {
-                return Err(search.failure(step, status));
-            }
-        }
+        search.prepare(session, Step::Features)?;
+        search.prepare(session, Step::Matches)?;
         let (models, mappings) = search.map(session)?;
         let Search { output, log, times, .. } = search;
         let mut models = models.into_iter();
@@ -255,6 +252,12 @@ impl<'a> Search<'a> {
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
 
+    /// Fails if COLMAP does.
+    fn prepare(&mut self, session: &Session<'_>, step: Step) -> Result<()> {
+        let status = self.run(session, step, self.work.folder.path())?;
+        status.map_or(Ok(()), |status| Err(self.failure(step, status)))
+    }
+
     /// Returns the groups, largest first, and the number of attempts. Retries with all photos if
     /// few are joined, and with a fixed lens if the focal length is implausible.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Capture>, usize)> {
@@ -264,6 +267,9 @@ impl<'a> Search<'a> {
         let mut mappings = Mapping::ALL.iter();
         while let Some(&(mut mapping)) = mappings.next() {
             mapping.keyframes &= self.keyframes < photos;
+            if !mapping.keyframes && self.work.forget_pairs()? {
+                self.prepare(session, Step::Matches)?;
+            }
             let models = self.work.folder.path().join(format!("sparse{attempts}"));
             make_folder(&models)?;
             attempts += 1;

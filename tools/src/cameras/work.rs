@@ -1,9 +1,9 @@
-use super::colmap::{KEYFRAMES, MASKS};
+use super::colmap::{KEYFRAMES, MASKS, PAIRS};
 use crate::{outputs::make_folder, scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
     fs::File,
-    io::BufReader,
+    io::{BufReader, ErrorKind},
     path::{Path, PathBuf},
 };
 use zipsplat::{
@@ -13,6 +13,9 @@ use zipsplat::{
         poses::{Capture, CaptureView},
     },
 };
+
+/// Distances of COLMAP's sequential matching.
+const NEIGHBORS: [usize; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 16, 32, 64, 128];
 
 /// Under short names for COLMAP's files.
 pub(super) struct Work {
@@ -49,16 +52,37 @@ impl Work {
         Ok(work)
     }
 
-    /// Lists at most `most` photos at equal distances, a power of two as in COLMAP's sequential
-    /// matching. Returns their number.
+    /// Lists at most `most` photos at equal distances, and the pairs to match: keyframes as COLMAP's
+    /// sequential matching would, the others with the keyframes around them. Returns the number of
+    /// keyframes.
     pub fn choose_keyframes(&self, most: usize) -> Result<usize> {
-        let distance = self.photos.len().div_ceil(most).next_power_of_two();
-        let names: Vec<&str> = self.photos.iter().step_by(distance).map(|(_, name)| name.as_str()).collect();
+        let count = self.photos.len();
+        let distance = count.div_ceil(most);
         if distance > 1 {
-            let path = self.folder.path().join(KEYFRAMES);
-            std::fs::write(&path, names.join("\n")).map_err(|source| Error::io(&path, source))?;
+            let list = |file, lines: Vec<String>| {
+                let path = self.folder.path().join(file);
+                std::fs::write(&path, lines.join("\n")).map_err(|source| Error::io(&path, source))
+            };
+            let name = |i: usize| self.photos[i].1.clone();
+            let partners = |i: usize| match i % distance {
+                0 => NEIGHBORS.iter().map(|far| i + far * distance).collect(),
+                after => vec![i - after, i - after + distance],
+            };
+            let pairs = (0..count).flat_map(|i| partners(i).into_iter().map(move |j| (i, j)));
+            let pairs = pairs.filter(|(_, j)| *j < count).map(|(i, j)| format!("{} {}", name(i), name(j)));
+            list(PAIRS, pairs.collect())?;
+            list(KEYFRAMES, (0..count).step_by(distance).map(name).collect())?;
         }
-        Ok(names.len())
+        Ok(count.div_ceil(distance.max(1)))
+    }
+
+    /// Returns whether there were pairs.
+    pub fn forget_pairs(&self) -> Result<bool> {
+        let path = self.folder.path().join(PAIRS);
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() == ErrorKind::NotFound => Ok(false),
+            removed => removed.map(|()| true).map_err(|source| Error::io(&path, source)),
+        }
     }
 
     /// Also returns the photos without a camera. Names are the photos' own paths.
