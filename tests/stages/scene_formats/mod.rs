@@ -252,12 +252,18 @@ fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
 }
 
 #[test]
-fn records_after_an_spz_are_read_over_up_to_a_limit() {
+fn records_after_an_spz_are_read_over_but_for_other_axes() {
     let (_, mut plain) = spz();
     plain[14] |= 2;
-    let extended = |bytes: usize| gzip(&[&plain[..], &vec![0; bytes]].concat(), Compression::default());
-    assert_eq!(read_as("scene.spz", extended(20), |path| Scene::open(path).unwrap().len()), 400);
-    assert_damaged("scene.spz", &extended(100 << 20), &["expected the end"]);
+    let extended = |records: &[u8]| gzip(&[&plain[..], records].concat(), Compression::default());
+    let axes = |axes: u32| [0xadbe_0003, 4, axes].map(u32::to_le_bytes).concat();
+    let opened = |path: &Path| Scene::open(path).unwrap();
+    let usual = [vec![0; 24], axes(4)].concat();
+    assert_eq!(read_as("scene.spz", extended(&usual), opened), read_as("scene.spz", extended(&[]), opened));
+    let at = format!("byte {}: found axes of number 6, expected 4", plain.len() + 8);
+    assert_damaged("scene.spz", &extended(&axes(6)), &[&at]);
+    assert_damaged("scene.spz", &extended(&[0; 20]), &["expected a whole record"]);
+    assert_damaged("scene.spz", &extended(&vec![0; 100 << 20]), &["expected the end"]);
 }
 
 #[test]

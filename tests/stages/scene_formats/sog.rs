@@ -119,6 +119,29 @@ fn files_of_splat_transform_are_read() {
     assert_sog(&found, &truth, [0.12, 0.03, 2.0, 1.001 / 255.0]);
 }
 
+#[test]
+fn sog_files_of_older_programs_are_read() {
+    let with = |change: &dyn Fn(&mut Value)| {
+        let mut files = files(&encoded(&scene(1)));
+        let mut meta: Value = serde_json::from_slice(&files[0].1).unwrap();
+        change(&mut meta);
+        files[0].1 = meta.to_string().into_bytes();
+        Scene::decode(&archived(&files), Some(SceneFormat::Sog)).unwrap()
+    };
+    assert!(with(&|meta| meta["antialias"] = true.into()).antialiased);
+    let codes = |first: Value| {
+        with(&|meta| {
+            for field in ["scales", "sh0", "shN"] {
+                let code = |i: u8| {
+                    if i == 0 { first.clone() } else { json!(f64::from(i) * f64::from(u8::from(i > 1)) / 256.0) }
+                };
+                meta[field]["codebook"] = (0..=255).map(code).collect();
+            }
+        })
+    };
+    assert_eq!(codes(Value::Null), codes(json!(-1.0 / 256.0)));
+}
+
 /// Skipped without npm or its registry.
 #[test]
 fn splat_transform_reads_ours() {

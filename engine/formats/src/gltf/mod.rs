@@ -66,10 +66,9 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
         Ok(())
     });
     shown.map_err(fail)?;
-    if parts.is_empty() {
-        return Err(Error::format(path, None, format!("the default scene shows no primitive with {EXTENSION}")));
-    }
-    Ok(joined(parts))
+    let joined = parts.into_iter().map(Ok).reduce(|first, second| Scene::concat(first?, second?));
+    let none = || Err(Error::format(path, None, format!("the default scene shows no primitive with {EXTENSION}")));
+    joined.unwrap_or_else(none)
 }
 
 fn read_line(path: &Path) -> Result<Option<String>> {
@@ -141,24 +140,4 @@ fn transform(part: &mut Scene, to_world: &DMat4) -> Parsed<()> {
     }
     part.place(scale, &Pose { rotation: DMat3::from_quat(rotation), translation });
     Ok(())
-}
-
-fn joined(mut parts: Vec<Scene>) -> Scene {
-    if parts.len() == 1 {
-        return parts.remove(0);
-    }
-    let sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
-    let mut scene = Scene { sh_degree, ..Scene::default() };
-    for part in parts {
-        let missing = scene.sh_coeffs_per_gaussian() - part.sh_coeffs_per_gaussian();
-        for coeffs in part.sh_coeffs.chunks_exact(part.sh_coeffs_per_gaussian()) {
-            scene.sh_coeffs.extend_from_slice(coeffs);
-            scene.sh_coeffs.extend(std::iter::repeat_n([0.0; 3], missing));
-        }
-        scene.means.extend(part.means);
-        scene.scales.extend(part.scales);
-        scene.quats.extend(part.quats);
-        scene.opacities.extend(part.opacities);
-    }
-    scene
 }

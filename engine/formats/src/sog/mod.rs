@@ -11,7 +11,7 @@ use std::io::{Cursor, Read, Write};
 use std::path::Path;
 
 use image::{ExtendedColorType, ImageReader, codecs::webp::WebPEncoder};
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
 use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
@@ -49,6 +49,9 @@ const MAX_IMAGE: u64 = 1 << 30;
 struct Meta {
     count: usize,
     model: Option<String>,
+    /// Instead of `model` in the specification.
+    #[serde(default)]
+    antialias: bool,
     means: Means,
     scales: Coded,
     quats: Plain,
@@ -68,6 +71,7 @@ struct Means {
 
 #[derive(Deserialize)]
 struct Coded {
+    #[serde(deserialize_with = "codes")]
     codebook: Vec<f32>,
     files: [String; 1],
 }
@@ -81,8 +85,19 @@ struct Plain {
 struct Rest {
     count: usize,
     bands: u32,
+    #[serde(deserialize_with = "codes")]
     codebook: Vec<f32>,
     files: [String; 2],
+}
+
+/// Early versions of splat-transform write `null` for the first code; PlayCanvas extrapolates it.
+fn codes<'de, D: Deserializer<'de>>(from: D) -> std::result::Result<Vec<f32>, D::Error> {
+    let found = Vec::<Option<f32>>::deserialize(from)?;
+    let first = match found[..] {
+        [None, Some(second), .., Some(last)] => second + (second - last) / 255.0,
+        _ => f32::NAN,
+    };
+    Ok(found.iter().enumerate().map(|(i, code)| code.unwrap_or(if i == 0 { first } else { f32::NAN })).collect())
 }
 
 struct Texels {
@@ -312,7 +327,8 @@ fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if degree > Scene::MAX_SH_DEGREE {
         return Err(format!("{META}: found {degree} bands, expected 0 to {}", Scene::MAX_SH_DEGREE));
     }
-    let mut scene = Scene { antialiased: meta.model.as_deref() == Some(ANTIALIASED), ..Scene::zeroed(n, degree) };
+    let antialiased = meta.antialias || meta.model.as_deref() == Some(ANTIALIASED);
+    let mut scene = Scene { antialiased, ..Scene::zeroed(n, degree) };
     let k = scene.sh_coeffs_per_gaussian();
     for i in 0..n {
         scene.means[i] = std::array::from_fn(|axis| {

@@ -38,7 +38,7 @@ pub use range::spz_coarsening;
 /// "NGSP". Version, count and the bytes degree, fractional bits, flags and reserved follow.
 const MAGIC: u32 = 0x5053_474e;
 const HEADER: usize = 16;
-/// Records after the attributes, which do not affect these and are skipped.
+/// Records: after the attributes, in version 4 before them.
 const HAS_EXTENSIONS: u8 = 2;
 const MAX_EXTENSIONS: u64 = 1 << 20;
 /// Inflated bytes per file byte, beyond real compression, against hostile files.
@@ -131,11 +131,17 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
         return Err(fault(HEADER + body.len(), reason));
     }
     // Reads to the end, where the checksum is.
-    let most = if fields[2] & HAS_EXTENSIONS != 0 { MAX_EXTENSIONS } else { 0 };
-    let rest = std::io::copy(&mut stream.take(most + 1), &mut std::io::sink()).map_err(gzip)?;
+    let (has_extensions, count) = (fields[2] & HAS_EXTENSIONS != 0, body.len());
+    let most = if has_extensions { MAX_EXTENSIONS } else { 0 };
+    let rest = stream.take(most + 1).read_to_end(&mut body).map_err(gzip)? as u64;
     if rest > most {
         let reason = format!("found more than {most} bytes after {} Gaussians, expected the end", word(2));
-        return Err(fault(HEADER + body.len(), reason));
+        return Err(fault(HEADER + count, reason));
+    }
+    if has_extensions {
+        let after = |fault: Fault| Fault { offset: fault.offset.map(|at| HEADER + at), ..fault };
+        streams::check_axes(&body, count).map_err(after)?;
+        body.truncate(count);
     }
     Ok(layout.decode(&body, word(2) as usize))
 }

@@ -43,7 +43,7 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
         return fault(16, format!("found the table of streams at byte {table}, expected {HEADER} to {}", bytes.len()));
     }
     if fields[2] & HAS_EXTENSIONS != 0 {
-        check_axes(&bytes[..table])?;
+        check_axes(&bytes[..table], HEADER)?;
     }
     let sections: Vec<usize> = layout.section_bytes().map(|section| section * count as usize).to_vec();
     let streams = streams(bytes, table, &sections)?;
@@ -68,13 +68,12 @@ fn word(bytes: &[u8], at: usize) -> u32 {
 }
 
 /// Skips extension records, but rejects unusual axes, which would rotate the scene.
-fn check_axes(zone: &[u8]) -> Parsed<()> {
-    let mut at = HEADER;
+pub(super) fn check_axes(zone: &[u8], mut at: usize) -> Parsed<()> {
     while at < zone.len() {
         let length = if zone.len() - at < 8 { None } else { Some(word(zone, at + 4) as usize) };
         let Some(record) = length.and_then(|length| zone[at + 8..].get(..length)) else {
             let found = zone.len() - at;
-            return fault(at, format!("found {found} bytes of an extension before the table, expected a whole record"));
+            return fault(at, format!("found {found} bytes of an extension, expected a whole record"));
         };
         if word(zone, at) == COORDINATE_SYSTEM {
             let axes = record.first_chunk().map(|axes| u32::from_le_bytes(*axes));
