@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { readFileSync, writeFileSync } from "node:fs";
 import { before, test } from "node:test";
 import { pathToFileURL } from "node:url";
+import { PNG } from "pngjs";
 import { Tab, at, psnr, randomPly, serve, sleep, spread, written, zipsplat } from "./browser.mjs";
 
 const AGREES = 56; // dB against `render`: rounding only
@@ -33,6 +34,17 @@ test("a page in one file draws what render draws, and asks nobody for anything",
         assert.deepEqual(tab.requests, [pathToFileURL(at("page.html")).href]);
         await tab.close();
     }
+});
+
+test("input cameras keep their principal points and focal lengths", async () => {
+    const frame = { file_path: "a.png", transform_matrix: [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]] };
+    writeFileSync(at("lens.json"), JSON.stringify({ fl_x: 90, fl_y: 110, cx: 40, cy: 75, w: 120, h: 120, frames: [frame] }));
+    const tab = await written(["random.ply", "--lossless", "--cameras", "lens.json"], { width: 120, height: 120 });
+    await tab.run(() => zipsplat.through(0));
+    zipsplat("render", "random.ply", "--cameras", "lens.json", "-o", "lens");
+    const found = psnr(await tab.picture(), PNG.sync.read(readFileSync(at("lens/000.png"))));
+    assert.ok(found > AGREES, `${found} dB`);
+    await tab.close();
 });
 
 test("a packed page draws what render draws of the SPZ", async () => {

@@ -22,9 +22,10 @@ class ViewCamera {
         this.place([0, 0, 0], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], 1);
     }
 
-    // Axes: right, down, forward; the orbit center is `distance` ahead.
+    // Axes: right, down, forward; the orbit center is `distance` ahead. An input camera shifts its
+    // slopes, x / z and y / z, and stretches x.
     place(eye, axes, distance) {
-        Object.assign(this, { eye: [...eye], axes: axes.map(axis => [...axis]), distance });
+        Object.assign(this, { eye: [...eye], axes: axes.map(axis => [...axis]), distance, shift: [0, 0], stretch: 1 });
     }
 
     focal(width, height) { return Math.min(width, height) / 2 / Math.tan(this.fov * Math.PI / 360); }
@@ -57,11 +58,16 @@ class ViewCamera {
     }
 
     // Fits an input camera into a picture.
-    through({ matrix, width, height, fy }, pictureWidth, pictureHeight, distance) {
+    through({ matrix, width, height, fx, fy, cx, cy }, pictureWidth, pictureHeight, distance) {
         const focal = fy * Math.min(pictureWidth / width, pictureHeight / height);
         this.fov = Math.atan(Math.min(pictureWidth, pictureHeight) / 2 / focal) * 360 / Math.PI;
         this.place(matrix.map(row => row[3]), [0, 1, 2].map(i => matrix.slice(0, 3).map(row => row[i])), distance);
+        this.shift = [(cx - width / 2) / fx, (cy - height / 2) / fy];
+        this.stretch = fx / fy;
     }
+
+    // In pixels from the center, of a point in front.
+    project([x, y, z], focal) { return [focal * this.stretch * (x / z + this.shift[0]), focal * (y / z + this.shift[1])]; }
 
     // Key of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of view.
     asKey(width, height) {

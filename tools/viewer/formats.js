@@ -131,6 +131,14 @@ function readSpz4(bytes) {
     return whole;
 }
 
+// Extension records, of which other axes than right, up, back would turn the scene.
+function checkAxes(records) {
+    const view = new DataView(records.buffer, records.byteOffset, records.byteLength);
+    for (let at = 0; at + 12 <= records.length; at += 8 + view.getUint32(at + 4, true))
+        if (view.getUint32(at, true) === 0xadbe0003 && ![0, 4].includes(view.getUint32(at + 8, true)))
+            throw new Error("The SPZ has other axes than right, up, back: this page does not read them.");
+}
+
 async function readSpz(packed, progress) {
     const bytes = packed[0] === 0x1f ? await unpacked(packed, "gzip", "SPZ") : readSpz4(packed);
     progress(0.3);
@@ -143,6 +151,7 @@ async function readSpz(packed, progress) {
     let end = 16;
     const sections = [9, 1, 3, 3, rotationBytes, rest].map(width => bytes.subarray(end, end += width * count));
     if (end > bytes.length) throw new Error(`The SPZ is cut off: ${count} Gaussians take ${end} bytes, it has ${bytes.length}.`);
+    if (bytes[14] & 2) checkAxes(version === 4 ? packed.subarray(32, new DataView(packed.buffer, packed.byteOffset).getUint32(16, true)) : bytes.subarray(end));
     const [positions, alphas, colors, scales, rotations, harmonics] = sections;
     const scene = { ...emptyScene(count, degree), antialiased: Boolean(bytes[14] & 1) }, signs = Array.from({ length: rest / 3 }, (_, k) => aboutX(k + 1));
     const quat = [0, 0, 0, 0];
@@ -230,6 +239,8 @@ async function readSog(bytes, progress, decoded = texels) {
     const meta = JSON.parse(new TextDecoder().decode(file("meta.json")));
     if (meta.version !== 2) throw new Error(`The SOG is of version ${meta.version}: this page reads 2.`);
     const { count, means, scales, quats, sh0, shN } = meta, degree = shN?.bands ?? 0;
+    // The first code of early versions of splat-transform.
+    for (const { codebook: c } of [scales, sh0, ...shN ? [shN] : []]) c[0] ??= c[1] + (c[1] - c[255]) / 255;
     const picture = async (name, pixels) => {
         const rgba = await decoded(file(name));
         if (rgba.length < 4 * pixels) throw new Error(`The SOG is cut off: ${name} has ${rgba.length / 4} pixels, expected ${pixels}.`);
@@ -238,7 +249,7 @@ async function readSog(bytes, progress, decoded = texels) {
     const of = async names => Promise.all(names.map(name => picture(name, count)));
     const [low, high, sizes, turns, colors] = await of([...means.files, ...scales.files, ...quats.files, ...sh0.files]);
     progress(0.5);
-    const scene = { ...emptyScene(count, degree), antialiased: meta.model === "antialiased" };
+    const scene = { ...emptyScene(count, degree), antialiased: meta.antialias || meta.model === "antialiased" };
     for (let i = 0; i < count; ++i) {
         const quat = [0, 1, 2].map(j => (turns[4 * i + j] / 127.5 - 1) * Math.SQRT1_2);
         quat.splice(turns[4 * i + 3] - 252, 0, Math.sqrt(Math.max(0, 1 - quat.reduce((sum, q) => sum + q * q, 0))));

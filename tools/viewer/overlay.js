@@ -50,8 +50,10 @@ class Overlay {
 
     project(point) {
         const { camera, canvas } = this.page, focal = camera.focal(canvas.clientWidth, canvas.clientHeight);
-        const [x, y, z] = camera.axes.map(axis => dot(axis, add(point, camera.eye, -1)));
-        return z > (this.page.scene?.near ?? 0.01) ? [focal * x / z + canvas.clientWidth / 2, focal * y / z + canvas.clientHeight / 2] : null;
+        const seen = camera.axes.map(axis => dot(axis, add(point, camera.eye, -1)));
+        if (!(seen[2] > (this.page.scene?.near ?? 0.01))) return null;
+        const [x, y] = camera.project(seen, focal);
+        return [x + canvas.clientWidth / 2, y + canvas.clientHeight / 2];
     }
 
     // Center and picture corners, at a share of the scene's distance.

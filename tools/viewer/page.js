@@ -72,17 +72,17 @@ class Page {
             const bytes = await this.bytes(scene, index);
             scene.bytes ??= bytes.byteLength;
             const { features, name } = scene, parts = { name, inlined: element(`features-${index}`), source: `features/${index}` };
-            this.read(index, bytes, true, features && { ...features, values: new Int8Array(await this.bytes(parts)) });
+            this.read(index, bytes, true, { features: features && { ...features, values: new Int8Array(await this.bytes(parts)) } });
         } catch (error) {
             this.failed(index, error.message);
         }
     }
 
     // With any view for the first depth order.
-    read(index, bytes, whole = true, features) {
+    read(index, bytes, whole = true, { features, swap } = {}) {
         const scene = this.scenes[index], view = this.home && this.view();
         if (whole && !scene.file) scene.blob = new Blob([bytes]);
-        this.worker.postMessage({ load: index, bytes, name: scene.name, view, whole, features }, [bytes]);
+        this.worker.postMessage({ load: index, bytes, name: scene.name, view, whole, features, swap }, [bytes]);
     }
 
     // Resolves when the new scene is shown.
@@ -92,7 +92,8 @@ class Page {
         return new Promise(resolve => {
             scene.done = resolve;
             scene.next = facts;
-            this.read(index, bytes);
+            scene.swap = (scene.swap ?? 0) + 1;
+            this.read(index, bytes, true, { swap: scene.swap });
         });
     }
 
@@ -158,16 +159,16 @@ class Page {
     }
 
     loaded(index, data) {
-        const scene = this.scenes[index], before = scene.drawable;
+        const scene = this.scenes[index], before = scene.drawable, newest = data.swap === scene.swap;
         try {
             scene.drawable = this.renderer.upload(data);
         } catch (error) {
             return this.failed(index, error.message);
         }
         if (before) this.renderer.release(before);
-        Object.assign(scene, { count: data.count, all: data.all, partial: data.count < data.all, sample: data.sample, faint: data.faint, near: data.near, edits: 0, failed: null, sortedFor: data.view }, scene.next);
+        Object.assign(scene, { count: data.count, all: data.all, partial: data.count < data.all, sample: data.sample, faint: data.faint, near: data.near, edits: 0, failed: null, sortedFor: data.view }, newest ? scene.next : {});
         if (data.order) this.renderer.sort(scene.drawable, data.order);
-        scene.done?.();
+        if (newest) scene.done?.();
         if (index === this.current) {
             this.say(data.dropped ? `${counted(data.dropped, "Gaussian")} left out: their values are not finite.` : "");
             if (data.dropped) setTimeout(() => this.say(""), 4000);

@@ -29,7 +29,7 @@ uniform usampler2D gaussians; // 3 texels each: mean and opacity; scale and q.wx
 uniform usampler2D harmonics;
 uniform mat3 view;
 uniform vec3 eye;
-uniform vec2 focal, size;
+uniform vec2 focal, shift, size;
 uniform float near;
 uniform bool antialiased;
 uniform int degree, show, hovered; // the token that is pointed at; -1: none
@@ -118,7 +118,7 @@ void main() {
     if (opacity < ALPHA_MIN) return;
     float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
     float extent = 2.0 * log(255.0 * opacity);
-    vec2 center = focal * p.xy / p.z + half_size, radii = sqrt(extent * vec2(xx, yy));
+    vec2 center = focal * (p.xy / p.z + shift) + half_size, radii = sqrt(extent * vec2(xx, yy));
     if (any(lessThan(center + radii, vec2(0))) || any(greaterThan(center - radii, size))) return;
 
     float tilt = 0.5 * (xx - yy), spread = length(vec2(tilt, xy)), longest = 0.5 * (xx + yy) + spread;
@@ -370,7 +370,8 @@ class Renderer {
         this.bind(uniforms, scene, ["order", "gaussians", "harmonics"]);
         gl.uniformMatrix3fv(uniforms.view, false, [0, 1, 2].flatMap(i => [right[i], down[i], forward[i]]));
         gl.uniform3fv(uniforms.eye, camera.eye);
-        gl.uniform2f(uniforms.focal, focal, focal);
+        gl.uniform2f(uniforms.focal, focal * camera.stretch, focal);
+        gl.uniform2fv(uniforms.shift, camera.shift);
         gl.uniform2f(uniforms.size, width, height);
         gl.uniform1f(uniforms.near, scene.near);
         gl.uniform1i(uniforms.degree, scene.degree);

@@ -49,7 +49,7 @@ class Views {
             facts.push(`${whole(drawn)} of ${counted(count, "Gaussian")} drawn: ${whole(faint)} are fainter than 1/255, ` +
                 `${whole(count - faint - drawn)} lie behind the camera or nearer than ${near}.`);
             if (scene.late !== undefined) facts.push(`The order by depth was ${Math.round(scene.late)} ms late.`);
-            facts.push(...scene.left_out?.map(({ what, why }) => `No ${what}: ${why}.`) ?? []);
+            facts.push(...scene.skipped_passes?.map(({ what, why }) => `No ${what}: ${why}.`) ?? []);
         }
         element("left-out").textContent = facts.join(" ");
     }

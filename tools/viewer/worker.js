@@ -1,15 +1,15 @@
 // Reads scenes, packs textures, sorts by depth, deletes and saves.
 //
 // In, with the number of a scene:
-//   { load, bytes, name, view, whole, features }: the view's line of sight and eye are optional,
-//     and so are the features: channels, and signed bytes of Gaussians or of groups
+//   { load, bytes, name, view, whole, features, swap }: the view's line of sight and eye are
+//     optional, and so are the features: channels, and signed bytes of Gaussians or of groups
 //   { sort, view }
 //   { edit, act, volume }: acts are "keep" and "delete" a volume, and "undo"; none only counts
 //   { save, file, name, kind }
 // Out:
 //   { load, progress } or { load, failed } with a message
 //   { load, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample,
-//     order }
+//     order, swap }
 //   { sort, order }
 //   { edit, count, faint, inside, edits, sample }
 //   { save, blob } or { save, failed }
@@ -69,7 +69,7 @@ function nearPlane(sample, scales) {
 }
 
 // Sorts and edits take turns with it.
-async function load({ load: id, bytes, name, view, whole, features }) {
+async function load({ load: id, bytes, name, view, whole, features, swap }) {
     const progress = fraction => {
         if (whole) postMessage({ load: id, progress: fraction });
         return new Promise(resolve => setTimeout(resolve));
@@ -82,7 +82,7 @@ async function load({ load: id, bytes, name, view, whole, features }) {
     scenes.set(id, { means, count, opacities, near, gone, features, edits: 0, depths: new Float32Array(count), indices: new Uint32Array(count) });
     const { faint } = counts(scenes.get(id));
     const order = view && sorted(scenes.get(id), view);
-    postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
+    postMessage({ load: id, count, all, degree, antialiased, dropped, faint, near, gaussians, harmonics, sample, order, view, swap }, [gaussians.buffer, harmonics.buffer]);
 }
 
 // k-d tree: the middle of a range splits it along an axis.
