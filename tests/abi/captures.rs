@@ -183,6 +183,22 @@ fn captures_of_arrays_are_written_and_read() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn saved_captures_find_their_points() {
+    let folder = capture(true);
+    let path = folder.path().join("deep/transforms.json");
+    std::fs::create_dir(folder.path().join("deep")).expect("a folder");
+    let text = c_string(path.to_str().expect("UTF-8"));
+    // Opened by a path relative to the working directory.
+    let here = std::env::current_dir().expect("a working directory");
+    let up: std::path::PathBuf = here.components().skip(1).map(|_| "..").collect();
+    let relative = up.join(folder.path().strip_prefix("/").expect("an absolute path"));
+    ok(unsafe { zs_capture_save(open(&relative).handle, text.as_ptr()) });
+    let points = [folder.path(), &path].map(|path| Capture::open(path).expect("a capture").points.expect("points"));
+    assert_eq!(points[0].canonicalize().ok(), points[1].canonicalize().ok());
+}
+
 #[test]
 fn what_is_no_capture_is_refused() {
     let folder = capture(false);

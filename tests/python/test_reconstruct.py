@@ -70,6 +70,8 @@ def test_images_are_paths_bytes_pil_images_or_arrays(
     }
     for name, images in cases.items():
         assert same(model.reconstruct(images, input_size=SIZE), scene), name
+    shared = np.broadcast_to(arrays[0][0], arrays[0].shape)
+    assert same(model.reconstruct([shared], input_size=SIZE), model.reconstruct([shared.copy()], input_size=SIZE))
 
 
 def np_png(array: np.ndarray) -> bytes:

@@ -199,6 +199,9 @@ def test_renderers_take_arrays_and_scenes_points(scene: zipsplat.Scene, capture:
     assert red.sh_coeffs[:, 0, 0].min() > 0 > red.sh_coeffs[:, 0, 1:].max()
     with pytest.raises(zipsplat.ArgumentError, match=r"colors: found shape \[29, 3\]"):
         zipsplat.Scene.from_points(points, np.zeros((29, 3), np.uint8))
+    for colors in (np.full((30, 3), 0.5), np.full((30, 3), 256)):
+        with pytest.raises(zipsplat.ArgumentTypeError, match="whole numbers from 0 to 255"):
+            zipsplat.Scene.from_points(points, colors)
 
 
 def test_invalid_render_arguments_raise(scene: zipsplat.Scene) -> None:

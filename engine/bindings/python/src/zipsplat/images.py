@@ -162,10 +162,13 @@ def matched(
             raise ArgumentTypeError(
                 f"found an image of type {type(source).__name__}, expected paths: a Capture knows photos by their names"
             )
-        index = cameras.find(source)
-        if index is not None:
-            posed.append(_Posed(cameras, cameras[index].index, source))
-            views.append(cameras[index].camera)
+        first = cameras.find(source)
+        # Wide photos have several views.
+        for view in [] if first is None else cameras[first:]:
+            if view.name != cameras[first].name:
+                break
+            posed.append(_Posed(cameras, view.index, source))
+            views.append(view.camera)
     if not posed:
         raise ArgumentError(f"none of {len(sources)} photos is among the {len(cameras)} of the capture")
     return list(posed), Cameras(views), cameras
@@ -241,8 +244,10 @@ def _pixels(name: str, source: Any) -> npt.NDArray[Any]:
         array = array.astype(np.float32)
     if array.dtype not in (np.uint8, np.float32):
         raise ArgumentTypeError(f"{name}: found {array.dtype}, expected uint8 from 0 to 255 or float32 from 0 to 1")
-    channel, pixel = array.strides[2], array.strides[1]
-    if channel != array.itemsize or pixel != array.shape[2] * array.itemsize:
+    row, pixel, channel = array.strides
+    width = array.shape[2] * array.itemsize
+    # Rows may be apart or bottom-up, but not shared, as of np.broadcast_to.
+    if channel != array.itemsize or pixel != width or abs(row) < array.shape[1] * width:
         array = np.ascontiguousarray(array)
     return array
 

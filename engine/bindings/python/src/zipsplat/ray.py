@@ -176,6 +176,7 @@ class Worker:
         try:
             return self._make(row)
         except Exception as error:  # noqa: BLE001 A failed capture must not end the run.
+            self.store.try_again(row, tries)  # The worker lives.
             return {"name": row.name, "error": f"{type(error).__name__}: {error}"}
 
     def _make(self, row: Row) -> dict[str, Any]:

@@ -26,7 +26,7 @@ class RefineResult:
 
     Attributes:
         stop_reason: "finished", "stopped" by the progress function, "diverged", or
-            "unsaved" if the checkpoint could not be written.
+            "unsaved" if a checkpoint could not be written or a step's memory allocated.
         steps: Completed steps.
         best_step: Step of the returned scene; 0 if none improved it.
         initial_loss: Mean loss over the first step's photos; NaN without a step.
