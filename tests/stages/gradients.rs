@@ -172,6 +172,7 @@ fn record_gradient(
     };
     let request = RenderOptions::default();
     let (drawn, _) = record_with_gradients(rec, &scene, inputs.cameras, shape, &request, 1 << 16, compared, &gradients);
+    rec.output(drawn.frames);
     let d_tokens = head.record_backward(rec, &kept, &d_gaussians);
     (d_tokens, losses.expect("compared"), drawn.frames, drawn.status)
 }

@@ -30,7 +30,7 @@ impl DepthPrediction {
 
     pub(super) fn least_confidence(&self) -> f32 {
         let of_view = |view: &DepthMap| (0..view.depth.len()).filter_map(|i| view.confidence_at(i)).collect::<Vec<_>>();
-        let mut all: Vec<f32> = self.views.iter().flat_map(of_view).collect();
+        let mut all: Vec<f32> = self.views.iter().flat_map(of_view).filter(|confidence| !confidence.is_nan()).collect();
         if all.is_empty() {
             return CONFIDENT;
         }

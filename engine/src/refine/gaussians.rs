@@ -35,6 +35,8 @@ const MAX_ANISOTROPY: f32 = 5.0;
 /// Rate of that limit relative to the scales' rate: above 1 to prevail.
 const LIMIT_RATE: f32 = 2.0;
 const MAX_BATCH_PIXELS: usize = 1 << 20;
+/// Cached plans: photos of a few sizes, with and without masks, and their last batches.
+const PLANS: usize = 12;
 
 const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
 
@@ -143,7 +145,7 @@ impl Gaussians {
             depth_weight: 0.0,
             lpips,
             steps: 0,
-            plans: PlanCache::new(limits, capacity),
+            plans: PlanCache::new(limits, capacity).holding(PLANS),
             batch_size: batch_size(options, limits),
         })
     }
@@ -299,7 +301,8 @@ impl Gaussians {
 
     pub fn profile(&mut self, views: &[&View]) -> Result<Profile> {
         let size = views[0].size;
-        let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.batch_size).collect();
+        let most = self.batch_size.min(max_batch(size[0] as usize * size[1] as usize));
+        let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(most).collect();
         // Until no intersection overflows.
         while self.run(&alike, true)?.is_none() {}
         let depth_weight = self.depth_weight;

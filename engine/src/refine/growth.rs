@@ -142,7 +142,10 @@ pub(super) fn padded(scene: &Scene, most: usize) -> Scene {
 
 pub(super) fn drop_invisible(scene: &mut Scene) {
     let seen: Vec<usize> = (0..scene.len()).filter(|i| scene.opacities[*i] >= INVISIBLE).collect();
-    scene.keep(&seen);
+    // A scene needs a Gaussian.
+    if !seen.is_empty() {
+        scene.keep(&seen);
+    }
 }
 
 #[cfg(test)]
@@ -159,6 +162,14 @@ mod tests {
             sh_degree: 1,
             antialiased: false,
         }
+    }
+
+    #[test]
+    fn a_scene_keeps_gaussians_even_if_all_are_invisible() {
+        let faint = Scene { opacities: vec![0.0; 3], ..scene(3) };
+        let mut kept = faint.clone();
+        drop_invisible(&mut kept);
+        assert!(kept == faint);
     }
 
     #[test]

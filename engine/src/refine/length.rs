@@ -1,7 +1,7 @@
 //! Defaults that follow from a length: number of Gaussians, steps and size of the photos.
 
 use super::{Photos, RefineOptions, views::fitted};
-use crate::Result;
+use crate::{Error, Result};
 use std::{iter::successors, time::Duration};
 
 /// Fewest steps with growth by default.
@@ -67,19 +67,23 @@ pub(super) fn size_in_time(
     let enough = |step: Duration| step * ENOUGH_STEPS <= time;
     for larger in rising {
         // Twice the size takes at least twice as long.
-        let longer = if enough(2 * step) { time_step(larger)? } else { break };
-        if !enough(longer) {
+        if !enough(2 * step) {
             break;
         }
-        (size, step) = (larger, longer);
+        match time_step(larger) {
+            Ok(longer) if enough(longer) => (size, step) = (larger, longer),
+            Ok(_) | Err(Error::Memory { .. }) => break,
+            Err(error) => return Err(error),
+        }
     }
     Ok((size, step))
 }
 
-/// Half the largest photo's size within `most`, unless too small.
+/// Halves every photo of both orientations, unless the largest becomes too small.
 fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
-    let largest = sizes(photos, most, 2).max_by_key(|[width, height]| width * height);
-    largest.filter(|half| half.iter().all(|side| *side >= SHORTEST))
+    let largest = sizes(photos, most, 2).max_by_key(|[width, height]| u64::from(*width) * u64::from(*height))?;
+    let limit = sizes(photos, most, 2).reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])]);
+    limit.filter(|_| largest.iter().all(|side| *side >= SHORTEST))
 }
 
 #[cfg(test)]
@@ -115,6 +119,16 @@ mod tests {
         assert_eq!(chosen(59), ([400, 250], 2));
         assert_eq!(chosen(61), ([800, 500], 2));
         assert_eq!(chosen(1000), ([2000, 1600], 3));
+    }
+
+    #[test]
+    fn photos_of_both_orientations_are_halved_alike() {
+        let [wide, tall] = [[1600, 1000], [1000, 1600]];
+        let photos = [wide, tall].map(|[w, h]| Image::new(w, h, vec![0; 3 * 1600 * 1000]).expect("a photo"));
+        let half = half_size(&photos, None);
+        assert_eq!([wide, tall].map(|size| fitted(size, half, 1)), [[800, 500], [500, 800]]);
+        assert_eq!(half_size(&photos, half), Some([400, 400]));
+        assert_eq!(half_size(&photos, Some([400, 400])), None);
     }
 
     #[test]

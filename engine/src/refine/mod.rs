@@ -80,8 +80,8 @@ pub enum StopReason {
     Cancelled,
     /// The loss became NaN or infinite, or grew.
     Diverged(String),
-    /// A photo could not be opened or a checkpoint written.
-    Io(String),
+    /// A photo could not be opened, a checkpoint written or a step's memory allocated.
+    Failed(String),
 }
 
 /// Result of a refinement.
@@ -177,6 +177,9 @@ pub fn refine_tokens(
     progress: impl FnMut(RefineProgress<'_>) -> ControlFlow<()>,
 ) -> Result<RefineResult> {
     tokens_grow_not(options)?;
+    if tokens.count() == 0 {
+        return Err(Error::argument("tokens to refine", "none", "at least one, of a patch that no mask hides"));
+    }
     let make = |arena: &Arena, options: &RefineOptions| {
         let (gaussians, scene) = tokens::gaussians(arena, head, tokens, options)?;
         let scene_distance = distance(&scene, cameras);
@@ -224,6 +227,9 @@ fn run(
     let grow = |options: &RefineOptions, steps: usize| {
         len.and_then(|len| grown_len(options, steps, len, sizes(photos, options.max_image_size, 1)))
     };
+    if options.profile {
+        arena.device().limits().check_timestamps()?;
+    }
     let mut saving = match &options.checkpoint {
         Some(checkpoint) => {
             let sizes: Vec<[u32; 2]> = (0..count).map(|i| photos.size(i)).collect();

@@ -15,7 +15,7 @@ use super::{
     photos::PhotoCache,
     planned::PhotoLoss,
     schedule::{Schedule, rate_of_error},
-    views::{Order, View, split},
+    views::{Order, View, split, unmasked},
 };
 use crate::{
     Error, Result,
@@ -53,6 +53,10 @@ pub(super) struct Refinement<'a> {
     losses: Vec<f32>,
     holdout_psnr: Vec<(usize, f64)>,
     evaluated: Option<usize>,
+    /// Steps between evaluations, and the first with exposures. A correction of the number of steps
+    /// leaves them.
+    interval: usize,
+    first_exposed: usize,
     /// First step at the current size, and the least mean loss since then.
     began: usize,
     least: f32,
@@ -88,7 +92,7 @@ impl<'a> Refinement<'a> {
         let (training, holdout) = split(cameras.len(), options.holdout_views.unwrap_or(0));
         let measured: Vec<usize> = training.iter().step_by(training.len().div_ceil(MAX_MEASURED)).copied().collect();
         let [measured, validation] = [&measured, &holdout].map(|chosen| photos.views(cameras, chosen, &[], 1));
-        let (measured, validation) = (measured?, validation?);
+        let [measured, validation] = [measured?, validation?].map(unmasked);
         // The first camera fixes the world.
         let moving = if options.optimize_cameras { &training[1..] } else { &[] };
         let rates = [
@@ -125,6 +129,8 @@ impl<'a> Refinement<'a> {
             losses: Vec::new(),
             holdout_psnr: Vec::new(),
             evaluated: None,
+            interval: steps.div_ceil(EVALUATIONS).max(1),
+            first_exposed: first_step(steps),
             began: 0,
             least: f32::INFINITY,
             latest: 0.0,
@@ -150,7 +156,7 @@ impl<'a> Refinement<'a> {
             None => 0,
         };
         let stop_reason = self.run(progress, begin, resumed_step, saving)?;
-        let profile = self.options.profile.then(|| self.profile()).transpose()?;
+        let profile = self.options.profile.then(|| self.profile()).transpose()?.flatten();
         let peak_bytes = self.gaussians.device().allocated_bytes();
         let photo_bytes = self.options.max_photo_bytes - self.photos.left;
         self.gaussians.show(&self.kept.scene)?;
@@ -180,8 +186,8 @@ impl<'a> Refinement<'a> {
             best_step,
             holdout_psnr,
             training_psnr,
-            masked_fraction: ignored as f64 / pixels as f64,
-            depth_fraction: known as f64 / pixels as f64,
+            masked_fraction: ignored as f64 / pixels.max(1) as f64,
+            depth_fraction: known as f64 / pixels.max(1) as f64,
             holdout_views: holdout,
             sizes,
             took,
@@ -200,8 +206,6 @@ impl<'a> Refinement<'a> {
         mut saving: Option<&mut Saving>,
     ) -> Result<Option<StopReason>> {
         let mut steps = self.schedule.steps;
-        let interval = steps.div_ceil(EVALUATIONS).max(1);
-        let first_exposed = first_step(steps);
         if first == 0 {
             self.evaluate(0)?;
         }
@@ -209,20 +213,13 @@ impl<'a> Refinement<'a> {
         let mut step = first;
         while step < steps {
             self.resize(step);
-            if step == first_exposed {
+            if step == self.first_exposed {
                 let (training, views, count) = (&self.training, &self.measured, self.cameras.all().len());
                 self.exposures = Exposures::start(&mut self.gaussians, &self.options, training, views, count)?;
             }
             let mut views = match self.next_views() {
                 Ok(views) => views,
-                Err(error) if step > 0 => {
-                    let saved = saving.map_or(Ok(()), |saving| self.save(saving, step, begin));
-                    let why = match (error, saved) {
-                        (Error::Cancelled, Ok(())) => StopReason::Cancelled,
-                        (Error::Cancelled, Err(error)) | (error, _) => StopReason::Io(error.to_string()),
-                    };
-                    return self.stop(step, why);
-                }
+                Err(error) if step > 0 => return self.interrupt(error, step, saving, begin),
                 Err(error) => return Err(error),
             };
             if let Some(exposures) = &mut self.exposures {
@@ -230,7 +227,11 @@ impl<'a> Refinement<'a> {
             }
             let weights =
                 [self.fraction * self.schedule.rate(step), self.depth_weight * self.schedule.depth_weight(step)];
-            let found = self.gaussians.step(&views.iter().collect::<Vec<_>>(), weights)?;
+            let found = match self.gaussians.step(&views.iter().collect::<Vec<_>>(), weights) {
+                // The Gaussians are those before the step.
+                Err(error @ Error::Memory { .. }) if step > 0 => return self.interrupt(error, step, saving, begin),
+                found => found?,
+            };
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
             self.losses.push(loss);
             self.step_photos(step, &found);
@@ -238,7 +239,7 @@ impl<'a> Refinement<'a> {
             if !loss.is_finite() {
                 return Ok(Some(StopReason::Diverged(format!("the loss of step {done} is {loss}"))));
             }
-            let (evaluates, along) = (done.is_multiple_of(interval), done as f64 / steps as f64);
+            let (evaluates, along) = (done.is_multiple_of(self.interval), done as f64 / steps as f64);
             if evaluates || done == steps {
                 if let Some(why) = self.check_loss() {
                     return Ok(Some(StopReason::Diverged(why)));
@@ -268,7 +269,7 @@ impl<'a> Refinement<'a> {
             if let Some(saving) = saving.as_mut().filter(|saving| cancelled || saving.is_due())
                 && let Err(error) = self.save(saving, done, begin)
             {
-                return self.stop(done, StopReason::Io(error.to_string()));
+                return self.stop(done, StopReason::Failed(error.to_string()));
             }
             if cancelled {
                 return self.stop(done, StopReason::Cancelled);

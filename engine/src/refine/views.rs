@@ -30,6 +30,12 @@ impl View {
     }
 }
 
+/// Drops views of photos whose masks keep no pixel.
+pub(super) fn unmasked(mut views: Vec<View>) -> Vec<View> {
+    views.retain(|view| view.image.mask.as_ref().is_none_or(|mask| mask.iter().any(|kept| *kept != 0)));
+    views
+}
+
 pub(super) fn resized(i: usize, camera: &Camera, from: [u32; 2], size: [u32; 2]) -> Result<Camera> {
     check_camera(i, camera)?;
     PixelMap::resized(from, size).camera(camera, &format!("camera {i}"))

@@ -106,7 +106,7 @@ pub fn record_masked_gradient(rec: &mut Recorder, gradient: Tensor, masks: Tenso
 
 fn record_mask(rec: &mut Recorder, [frames, targets, masks, result]: [Tensor; 4], pixels: usize, gradient: bool) {
     rec.scope("mask", |rec| {
-        for part in row_chunks(rec, pixels.div_ceil(4), &[12 * size_of::<f32>()]) {
+        for part in row_chunks(rec, pixels.div_ceil(4), &[12 * size_of::<f32>(), size_of::<u32>()]) {
             let first = 4 * part.start;
             let count = 3 * (pixels - first).min(4 * part.len());
             let values = |tensor: Tensor| tensor.slice::<f32>(3 * first, count);

@@ -1,4 +1,5 @@
 use crate::case::*;
+use zipsplat::gpu::Recorder;
 use zipsplat::stages::FrameShape;
 use zipsplat::stages::loss::{Loss, record_loss, record_masked, record_masked_gradient};
 use zipsplat_tests::{golden::interleaved, reference::loss::gradient as reference};
@@ -155,6 +156,14 @@ fn the_reference_has_the_gradient_of_its_value() {
         let slope: f64 = moved(0.0).1.iter().zip(&direction).map(|(g, d)| g * d).sum();
         assert!((difference - slope).abs() < 1e-6 * slope.abs(), "{name}: {slope}, by differences {difference}");
     }
+}
+
+#[test]
+fn parts_of_large_masks_begin_where_bindings_may() {
+    let (mut rec, pixels) = (Recorder::new(device().limits()), 6000 * 4000);
+    let [frames, targets] = ["frames", "targets"].map(|name| rec.tensor::<f32>(name, 3 * pixels));
+    let masks = rec.tensor::<u32>("masks", pixels / 4);
+    record_masked(&mut rec, [frames, targets, masks], pixels);
 }
 
 #[test]

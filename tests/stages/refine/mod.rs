@@ -107,6 +107,17 @@ fn moved_gaussians_find_back_and_always_alike() {
 }
 
 #[test]
+fn a_photo_that_is_masked_away_measures_nothing() {
+    let cameras = cameras(4);
+    let (scene, mut photos) = photos(&cameras);
+    photos[2].mask = Some(vec![0; photos[2].rgb.len() / 3]);
+    let request = RefineOptions { length: RefineLength::Steps(20), holdout_views: Some(1), ..RefineOptions::default() };
+    let refined = refine(&moved(&scene), &photos, &cameras, &request);
+    assert_eq!((refined.holdout_views, refined.holdout_psnr), (vec![2], Vec::new()));
+    assert!(refined.best_step > 0 && refined.training_psnr[0] > refined.training_psnr[1]);
+}
+
+#[test]
 fn a_time_becomes_steps() {
     let cameras = cameras(4);
     let (scene, photos) = photos(&cameras);

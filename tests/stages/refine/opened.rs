@@ -71,7 +71,7 @@ fn photos_that_vanish_end_the_refinement_with_the_best_scene_and_a_checkpoint() 
     let path = folder.path().join("checkpoint");
     let checkpoint = RefineCheckpoint { path: path.clone(), interval: Duration::MAX, photos: "these".into() };
     let (refined, _) = refine_from(&photos, 12, 0, Some(checkpoint.clone()));
-    assert!(matches!(&refined.stop_reason, Some(StopReason::Io(why)) if why.contains("no file")));
+    assert!(matches!(&refined.stop_reason, Some(StopReason::Failed(why)) if why.contains("no file")));
     let steps = refined.losses.len();
     assert!((1..20).contains(&steps) && (1..=steps).contains(&refined.best_step), "{steps}, {}", refined.best_step);
     // Once the photos are back, the refinement goes on where it ended.

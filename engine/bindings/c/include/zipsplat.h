@@ -1016,7 +1016,7 @@ ZS_ENUM(zs_stop_reason) {
     ZS_STOP_REASON_STOPPED = 1,
     // The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
-    // The checkpoint could not be written.
+    // A checkpoint could not be written or a step's memory allocated.
     ZS_STOP_REASON_UNSAVED = 3,
 };
 

@@ -276,7 +276,7 @@ impl From<&RefineResult> for zs_refine_result {
             Some(StopReason::Cancelled) => zs_stop_reason::ZS_STOP_REASON_STOPPED,
             Some(StopReason::Diverged(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
             // Photos in memory are always readable.
-            Some(StopReason::Io(_)) => zs_stop_reason::ZS_STOP_REASON_UNSAVED,
+            Some(StopReason::Failed(_)) => zs_stop_reason::ZS_STOP_REASON_UNSAVED,
         };
         Self {
             stop_reason: stop_reason as i32,

@@ -57,8 +57,12 @@ impl Refinement<'_> {
         self.photos.views(self.cameras.all(), chosen, &[], 1)
     }
 
-    pub(super) fn profile(&mut self) -> Result<Profile> {
+    /// Of one step's first batch; none if memory lacks.
+    pub(super) fn profile(&mut self) -> Result<Option<Profile>> {
         let views = self.first_views()?;
-        self.gaussians.profile(&views.iter().collect::<Vec<_>>())
+        match self.gaussians.profile(&views.iter().collect::<Vec<_>>()) {
+            Err(Error::Memory { .. }) => Ok(None),
+            profile => profile.map(Some),
+        }
     }
 }

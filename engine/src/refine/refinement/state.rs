@@ -1,8 +1,8 @@
 use super::{Kept, Refinement};
 use crate::{
-    Result,
+    Error, Result,
     refine::{
-        RefineCheckpoint, RefineOptions,
+        RefineCheckpoint, RefineOptions, StopReason,
         cameras::poses,
         checkpoint::{Identity, State},
         exposure::Exposures,
@@ -69,6 +69,22 @@ impl Refinement<'_> {
         Ok(())
     }
 
+    /// Ends the refinement before `step`, with a checkpoint.
+    pub(super) fn interrupt(
+        &mut self,
+        error: Error,
+        step: usize,
+        saving: Option<&mut Saving>,
+        begin: Instant,
+    ) -> Result<Option<StopReason>> {
+        let saved = saving.map_or(Ok(()), |saving| self.save(saving, step, begin));
+        let why = match (error, saved) {
+            (Error::Cancelled, Ok(())) => StopReason::Cancelled,
+            (Error::Cancelled, Err(error)) | (error, _) => StopReason::Failed(error.to_string()),
+        };
+        self.stop(step, why)
+    }
+
     /// Loads the state and returns its finished steps.
     pub fn load(&mut self, state: &mut State<'_>) -> Result<usize> {
         let mut done = 0;
@@ -88,12 +104,13 @@ impl Refinement<'_> {
         let mut upcoming: Vec<u64> = self.upcoming.iter().map(|photo| *photo as u64).collect();
         state.list("upcoming", &mut upcoming)?;
         self.upcoming = upcoming.into_iter().map(|photo| photo as usize).collect();
-        let mut numbers =
-            [self.factor as usize, self.began, self.evaluated.map_or(0, |step| step + 1)].map(|n| n as u64);
+        let evaluated = self.evaluated.map_or(0, |step| step + 1);
+        let numbers = [self.factor as usize, self.began, evaluated, self.interval, self.first_exposed];
+        let mut numbers = numbers.map(|n| n as u64);
         state.fixed("numbers", &mut numbers)?;
-        let [factor, began, evaluated] = numbers;
-        (self.factor, self.began) = (factor as u32, began as usize);
-        self.evaluated = (evaluated as usize).checked_sub(1);
+        let [factor, began, evaluated, interval, first_exposed] = numbers.map(|n| n as usize);
+        (self.factor, self.began, self.evaluated) = (factor as u32, began, evaluated.checked_sub(1));
+        (self.interval, self.first_exposed) = (interval.max(1), first_exposed);
         let mut losses = [self.least, self.latest];
         state.fixed("mean_losses", &mut losses)?;
         [self.least, self.latest] = losses;

@@ -71,7 +71,6 @@ pub fn record_with_gradients(
     assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
     let (splats, lists, frames) = rec.scope("render", |rec| {
         let (splats, lists, frames) = draw(rec, scene, cameras, shape, options, capacity);
-        rec.output(frames);
         rec.output(lists.status);
         (splats, lists, frames)
     });

@@ -67,14 +67,11 @@ impl Renderer {
             let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % Arena::LANES };
             match self.start(&flight, rows, options) {
                 Ok(()) => flights.push_back(flight),
-                // Continue unpipelined, in smaller batches.
                 Err(Error::Memory { .. }) => {
                     while !flights.is_empty() {
                         self.land(&mut flights, rows, options, done)?;
                     }
-                    self.start_over()?;
-                    let frames = self.render_alike(&rows[cameras.clone()], (shape.width, shape.height), options)?;
-                    cameras.clone().zip(frames).try_for_each(|(i, frame)| done(i, frame))?;
+                    self.render_smaller(flight, rows, options, done)?;
                 }
                 Err(error) => return Err(error),
             }
@@ -98,14 +95,38 @@ impl Renderer {
         options: &RenderOptions,
         done: &mut dyn FnMut(usize, RenderOutput) -> Result<()>,
     ) -> Result<()> {
-        let Some(Flight { cameras, shape, turn }) = flights.pop_front() else { return Ok(()) };
-        let plan = self.plan(shape, options, turn)?;
+        let Some(flight) = flights.pop_front() else { return Ok(()) };
+        match self.finish(&flight, rows, options) {
+            Ok(frames) => flight.cameras.zip(frames).try_for_each(|(i, frame)| done(i, frame)),
+            // The others hold memory, too.
+            Err(Error::Memory { .. }) => std::iter::once(flight)
+                .chain(flights.drain(..))
+                .try_for_each(|flight| self.render_smaller(flight, rows, options, done)),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn finish(&mut self, flight: &Flight, rows: &[CameraRows], options: &RenderOptions) -> Result<Vec<RenderOutput>> {
+        let Flight { cameras, shape, turn } = flight;
+        let plan = self.plan(*shape, options, *turn)?;
         plan.run.finish()?;
         let needed = plan.outputs.needed(&plan.run)?;
-        let frames = match self.plans.fitting(needed)? {
-            Some(plan) => plan.read()?,
-            None => self.render_batch(&rows[cameras.clone()], (shape.width, shape.height), options, turn)?,
-        };
+        match self.plans.fitting(needed)? {
+            Some(plan) => plan.read(),
+            None => self.render_batch(&rows[cameras.clone()], (shape.width, shape.height), options, *turn),
+        }
+    }
+
+    /// Renders unpipelined, in smaller batches.
+    fn render_smaller(
+        &mut self,
+        Flight { cameras, shape, .. }: Flight,
+        rows: &[CameraRows],
+        options: &RenderOptions,
+        done: &mut dyn FnMut(usize, RenderOutput) -> Result<()>,
+    ) -> Result<()> {
+        self.start_over()?;
+        let frames = self.render_alike(&rows[cameras.clone()], (shape.width, shape.height), options)?;
         cameras.zip(frames).try_for_each(|(i, frame)| done(i, frame))
     }
 }

@@ -39,7 +39,7 @@ pub use project::{CameraRows, camera_rows};
 pub use range::{MAX_SIDE, check_camera};
 pub use renderer::Renderer;
 pub(crate) use scene::used_degree;
-pub use scene::{DeviceScene, SceneMemory, SceneSource, WeakScene};
+pub use scene::{DeviceScene, SceneMemory, SceneSource};
 
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {

@@ -31,15 +31,6 @@ impl<'a> From<&'a DeviceScene> for SceneSource<'a> {
     }
 }
 
-#[derive(Clone)]
-pub struct WeakScene(Weak<Gaussians>);
-
-impl WeakScene {
-    pub fn upgrade(&self) -> Option<DeviceScene> {
-        self.0.upgrade().map(DeviceScene)
-    }
-}
-
 struct Gaussians {
     memory: Arc<Resident>,
     tensors: SceneTensors,
@@ -130,10 +121,6 @@ impl SceneMemory {
 impl DeviceScene {
     pub fn read(&self) -> Result<Scene> {
         Ok(Scene { antialiased: self.0.antialiased, ..self.0.tensors.read(&self.0.memory)? })
-    }
-
-    pub fn downgrade(&self) -> WeakScene {
-        WeakScene(Arc::downgrade(&self.0))
     }
 
     pub fn len(&self) -> usize {
