@@ -54,7 +54,7 @@ fn makes_the_scenes_of_reconstruct() {
 #[test]
 fn makes_the_scenes_of_pixels_of_reconstruct() {
     let folder = captures().with_depth();
-    let weights = "--weights @/da3.safetensors --input-size 42x42 --ratio 0.5";
+    let weights = "--weights @/da3.safetensors --input-size 42x42 --ratio 0.5 --per-view-focal";
     let line = format!("--json reconstruct --each {weights} @/all/1 @/all/10 -o @/out");
     assert_eq!(numbers(folder.run(&line)), [2, 0, 0, 0]);
     for name in ["1", "10"] {
@@ -64,6 +64,7 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
     let record: Value = serde_json::from_slice(&folder.read("out/1.json")).expect("JSON");
     assert_eq!((&record["network"], &record["photos"]), (&"da3-micro".into(), &2.into()));
     assert_eq!(numbers(folder.run(&line)), [0, 2, 0, 0]);
+    assert_eq!(numbers(folder.run(&line.replace(" --per-view-focal", ""))), [2, 0, 0, 0]);
 
     folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
     for weights in ["da3", "alone"] {

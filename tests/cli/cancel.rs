@@ -80,10 +80,43 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
         let is_written = |_: &Outcome| folder.path("best.ply").exists();
         let outcome = cancelled_later(Duration::from_millis(100), &folder.line(&line), is_written);
         assert!(outcome.err.contains("best.ply: the best so far, after step "), "{}", outcome.err);
+        assert!(outcome.err.contains("; the same command continues"), "{}", outcome.err);
         Scene::open(folder.path("best.ply")).expect("a whole scene");
         outcome.fails(130, &["cancelled"]);
         folder.remove("best.ply");
         folder.remove("best.ply.checkpoint");
+    }
+}
+
+/// COLMAP's cameras differ in each run, and converted photos are new files.
+#[cfg(unix)]
+#[test]
+fn a_refinement_that_cannot_be_repeated_has_no_checkpoint() {
+    use crate::cameras::{COPIES, OPTIONS_3, colmap, model};
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 4 --size 28x28 -o @/place").success();
+    let frames = folder.capture("place").frames;
+    let names: Vec<String> = (0..frames.len()).map(|i| format!("0/{i:06}.png")).collect();
+    let named: Vec<_> = names.iter().map(String::as_str).zip(frames.iter().map(|frame| &frame.camera)).collect();
+    colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
+    model(&folder.path("colmap.model/0"), &named);
+    folder.write("a.heic", b"\0\0\0\x18ftypheic\0\0\0\0");
+    folder.write("ppm", [b"P6\n16 8\n255\n".as_slice(), &[90; 3 * 16 * 8]].concat());
+    let ppm = format!("cat '{}'", folder.line("@/ppm"));
+    folder.script("ffmpeg", &format!("#!/bin/sh\ncase \"$*\" in *ppm*) {ppm};; esac\n"));
+    let find = "--cameras colmap --colmap @/colmap -o @/best.ply";
+    let micro = "--weights @/micro.safetensors --input-size 28x28 --refine=1000000";
+    for line in [
+        format!("refine @/place/images {find} --init points --steps 1000000"),
+        format!("reconstruct @/place/images {find} {micro}"),
+        format!("reconstruct @/place/images @/a.heic --ffmpeg @/ffmpeg --cameras @/place {micro} -o @/best.ply"),
+    ] {
+        let is_written = |_: &Outcome| folder.path("best.ply").exists();
+        let outcome = cancelled_later(Duration::from_millis(100), &folder.line(&line), is_written);
+        assert!(outcome.err.contains("best.ply: the best so far, after step "), "{}", outcome.err);
+        assert!(!outcome.err.contains("continues") && !folder.path("best.ply.checkpoint").exists(), "{line}");
+        outcome.fails(130, &["cancelled"]);
+        folder.remove("best.ply");
     }
 }
 

@@ -48,6 +48,7 @@ fn folders_are_compared_by_name() {
     assert_eq!(json["mean"]["psnr"], json["pictures"][0]["psnr"]);
     let csv = folder.text("scores.csv");
     assert!(csv.starts_with("name,psnr,ssim,lpips\n") && csv.lines().count() == 3, "{csv}");
+    folder.run("eval @/a @/b --lpips none --csv @/scores.csv").success();
     let off = Image::open(folder.path("off/one.png")).expect("a picture");
     assert!(off.rgb.iter().all(|value| *value == 4 * 51));
     assert!(Image::open(folder.path("off/two.png")).expect("a picture").rgb.iter().all(|value| *value == 0));

@@ -160,9 +160,13 @@ fn photos_become_a_gaussian_a_pixel() {
     let given = folder.run(&format!("{plain} --cameras @/cameras.json --cameras-out @/again.json"));
     given.fails(3, &["--cameras-out", "cameras that are known"]);
     assert_eq!(made(&folder.run(&format!("{line} --cameras @/cameras.json")).json())[..3], [2, 40, 40]);
-    let refined =
-        folder.run(&format!("{line} --max-gaussians-per-token 2 --cameras da3 --refine=2 --holdout-views 0")).json();
+    let refine = "--max-gaussians-per-token 2 --cameras da3 --refine=2 --holdout-views 0";
+    let refined = folder.run(&format!("{line} {refine} --optimize-cameras --cameras-out @/new/garden.json")).json();
     assert_eq!((&refined["refined"]["init"], &refined["refined"]["steps"]), (&"the scene".into(), &2.into()));
+    // The points of the estimated cameras.
+    let optimized = folder.capture("new/garden.json");
+    assert!(optimized.frames[1].camera != cameras.frames[1].camera);
+    assert!(optimized.points.is_some_and(|points| points.ends_with("new/garden.points.ply")));
 }
 
 #[test]
@@ -289,6 +293,13 @@ fn scenes_of_pixels_are_shown() {
     assert_eq!(scene["gaussians"].as_u64(), Some(counts[0]));
     let page = folder.text("page.html");
     assert!(page.contains("ratio 0.5") && page.contains("\"cameras\":[{"), "no camera, or no slider");
+    let first_camera = |options: &str| {
+        folder.run(&format!("{line} --ratios 1 {options}")).success();
+        let page = folder.text("page.html");
+        let (_, cameras) = page.split_once("\"cameras\":[{").expect("cameras");
+        cameras.split('}').next().map(str::to_owned)
+    };
+    assert_ne!(first_camera(""), first_camera("--per-view-focal"));
     folder.run(&format!("{line} --refine=2 --cameras da3")).fails(3, &["--refine", "weights of ZipSplat"]);
     folder.run(&format!("{line} --ratio 0.5")).fails(3, &["--ratio", "--ratios R,R"]);
     let alone = line.replace("da3.safetensors", "alone.safetensors");

@@ -167,8 +167,11 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     assert!((scale / median - 1.0).abs() < 1e-4 && found["scene_scale_source"] == "depth", "{scale}, {median}");
     assert!((psnr(&found) - psnr(&json)).abs() < 0.05, "the cameras have the unit, too");
     let of_network = line.replace("--from-depth @/place/depth", "--weights @/micro.safetensors");
-    let found = folder.run(&format!("{of_network} --input-size 28x28 --scene-scale @/da3.safetensors --json")).json();
+    let of_network = format!("{of_network} --input-size 28x28 --scene-scale @/da3.safetensors --json");
+    let found = folder.run(&of_network).json();
     assert!(found["scene_scale"].as_f64().is_some_and(|scale| scale > 0.0) && found["scene_scale_source"] == "depth");
+    let half = folder.run(&format!("{of_network} --ratio 0.5")).json();
+    assert_eq!(half["scene_scale"], found["scene_scale"], "all pixels have the scale");
     let json = folder.run(&format!("{line} --input-size 28x28 --targets 1 --refine 2 --json")).json();
     assert_eq!((&json["refined"]["init"], &json["refined"]["steps"]), (&"the scene".into(), &2.into()));
     let refuses = |words: &[&str]| folder.run(&format!("{line} --input-size 28x28")).fails(3, words);

@@ -240,6 +240,27 @@ fn several_ratios_and_selections_are_rows_of_their_own() {
     folder.run(&format!("{SERIES} {OPTIONS} --ratio 1 --ratios 1")).fails_usage();
 }
 
+/// Scenes missing from the index file are counted per variant.
+#[test]
+fn ratios_of_pixels_are_rows_of_their_own() {
+    let folder = Folder::new().with_depth();
+    two_scenes(&folder);
+    folder.write("frames.json", r#"{"one": {"context": [1, 4], "target": [0]}}"#);
+    let options = "--weights @/da3.safetensors --input-size 42x28 --lpips none --align none --name depth";
+    let line = format!("eval @/data --protocol dl3dv --indices @/frames.json {options} --ratios 1,0.5 -o @/out --json");
+    let json = folder.run(&line).json();
+    assert_eq!((&json["evaluated"], &json["unknown"]), (&json!(2), &json!(2)));
+    let rows = json["scenes"].as_array().expect("rows");
+    let gaussians = |method: &str| {
+        let row = rows.iter().find(|row| row["method"] == method).unwrap_or_else(|| panic!("{method}: {json}"));
+        row["gaussians"].as_u64().expect("a number")
+    };
+    assert!(gaussians("depth r=0.5") < gaussians("depth r=1"), "{json}");
+    for (options, evaluated) in [("", 0), ("--per-view-focal", 2), ("--block-size 3", 2)] {
+        assert_eq!(folder.run(&format!("{line} {options}")).json()["evaluated"], evaluated, "{options}");
+    }
+}
+
 #[test]
 fn filter_and_source_size_are_those_of_tables_5_and_6() {
     let folder = Folder::new();

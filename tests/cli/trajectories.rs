@@ -102,6 +102,12 @@ fn lists_of_matrices_take_the_lens_that_is_given() {
     write_transforms(folder.path("same.json"), &[camera; 2], &["a", "b"]).expect("cameras");
     folder.run(&format!("{RENDER} --cameras @/same.json -o @/same")).success();
     assert_eq!(pictures(&folder, "list"), pictures(&folder, "same"));
+    let narrow = Camera { intrinsics: Intrinsics { fx: 40.0, fy: 40.0, ..lens }, ..camera };
+    write_transforms(folder.path("narrow.json"), &[narrow; 2], &["a", "b"]).expect("cameras");
+    folder.run(&format!("{RENDER} --cameras @/narrow.json --fov 90 -o @/wide")).success();
+    assert_eq!(pictures(&folder, "list"), pictures(&folder, "wide"));
+    let orbit = folder.run(&format!("{RENDER} --orbit --relative-to a -o @/orbit"));
+    orbit.fails(3, &["--relative-to: found a with --orbit"]);
 }
 
 #[test]

@@ -293,6 +293,10 @@ fn what_cannot_be_got_is_refused() {
     place.run(&format!("{GET} --sha256 {}", "1".repeat(64))).fails(3, &["--sha256: found 111", "which the host says"]);
     place.run("weights get zipsplat").fails(3, &["no --yes, and no terminal to ask on", "CC BY-NC"]);
     place.run("weights get zipsplat --offline").fails(3, &["no network by --offline"]);
+    let (pinned, _) = spoiled(&|_| ());
+    pinned.run(GET).success();
+    pinned.run(&format!("weights get zipsplat --offline --sha256 {}", sha256(&file))).success();
+    pinned.run(&format!("weights get zipsplat --offline --sha256 {}", "1".repeat(64))).fails(3, &["no network"]);
     place.run("weights get brush").fails(3, &["name of weights: found brush, expected zipsplat"]);
     assert!(host.ranges().is_empty() && place.cached().is_empty());
     for (status, code, words) in [(404, 3, "HTTP 404"), (401, 3, "HF_TOKEN"), (500, 1, "5 times in a row")] {

@@ -154,14 +154,15 @@ def train(args, data, steps, limit):
     return scene, saved, reached, cpu
 
 
-def steps_within(limit, steps, cpu):
-    """Extrapolates from a run's steps and CPU seconds. Later steps are slower: scene and photos grow."""
-    return max(20, round(0.95 * steps * (limit / cpu) ** 0.8))
+def steps_within(args, limit, steps, cpu):
+    """Extrapolates from a run's steps and CPU seconds. Photos that grow with the steps slow down later ones."""
+    factor, exponent = (0.99, 1.0) if args.resolution_part else (0.95, 0.8)
+    return max(20, round(factor * steps * (limit / cpu) ** exponent))
 
 
 def opensplat(args, capture, ours, shorter, folder):
     limit = round(ours["cpu"])
-    steps = steps_within(limit, shorter["steps"], shorter["cpu"]) if shorter else PILOT_STEPS
+    steps = steps_within(args, limit, shorter["steps"], shorter["cpu"]) if shorter else PILOT_STEPS
     with tempfile.TemporaryDirectory() as data:
         export(args, capture, ours["inputs"], Path(data))
         for _ in range(TRIES):
@@ -169,7 +170,7 @@ def opensplat(args, capture, ours, shorter, folder):
             print(f"{capture.name}: {reached} of {steps} steps in {cpu:.0f} of {limit} CPU seconds", file=sys.stderr)
             if saved == steps and cpu >= 0.9 * limit:
                 break
-            steps = steps_within(limit, reached, cpu)
+            steps = steps_within(args, limit, reached, cpu)
         if not scene:
             sys.exit(f"{args.opensplat} saved no scene in {limit} CPU seconds")
         said, _ = evaluate(args, capture, folder, "--scene", scene, "--scene-frame", "input-cameras", "--drop-invalid")

@@ -220,6 +220,11 @@ impl DepthPredictor {
         self.request.ratio = ratio;
     }
 
+    /// Sets the ratio and the token selection of further predictions.
+    pub fn select(&mut self, quality: &Quality) {
+        (self.request.ratio, self.request.token_selection) = (quality.ratio, quality.token_selection.clone());
+    }
+
     pub fn precision(&self) -> Precision {
         self.precision
     }

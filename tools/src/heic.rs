@@ -1,10 +1,10 @@
 use crate::{
-    decode::{AS_PPM, decode, input, read_ppm, save_jpeg},
+    decode::{AS_PPM, decode, input, read_ppm, save_jpeg, save_jpeg_of_focal},
     process,
     session::{Session, Stage},
 };
 use std::{
-    io::Read,
+    io::{BufReader, Read},
     path::{Path, PathBuf},
     process::Command,
 };
@@ -29,10 +29,21 @@ pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], fold
             let same = pictures[..*i].iter().filter(|other| other.file_stem() == Some(stem)).count();
             let number = if same > 0 { format!("-{same}") } else { String::new() };
             let photo = folder.join(format!("{}{number}.jpg", stem.to_string_lossy()));
-            save_jpeg(&image, &photo).map(|()| photo)
+            match focal_length(picture) {
+                Some(focal) => save_jpeg_of_focal(&image, focal, &photo)?,
+                None => save_jpeg(&image, &photo)?,
+            }
+            Ok(photo)
         })
     })?;
     Ok(photos)
+}
+
+/// In millimeters for 35 mm film, by EXIF. It tells a phone's lenses apart.
+fn focal_length(picture: &Path) -> Option<u16> {
+    let read = exif::Reader::new().read_from_container(&mut BufReader::new(open_file(picture).ok()?)).ok()?;
+    let field = read.get_field(exif::Tag::FocalLengthIn35mmFilm, exif::In::PRIMARY)?;
+    field.value.get_uint(0)?.try_into().ok().filter(|focal| *focal > 0)
 }
 
 fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {

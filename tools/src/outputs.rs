@@ -21,7 +21,7 @@ pub const LOG_START: &str = "zipsplat: what COLMAP said";
 /// Bytes searched at each end of a file.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with author marks. `.splat` has none.
-const MARKS: [(&[u8], &[u8]); 23] = [
+const MARKS: [(&[u8], &[u8]); 24] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
     (b"\x1f\x8b", b"zipsplat"),
@@ -40,6 +40,7 @@ const MARKS: [(&[u8], &[u8]); 23] = [
     (b"", b"\"zipsplat.photos\""),
     (b"", b"\"zipsplat.scene_sha256\""),
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
+    (b"name,psnr,ssim,lpips\n", b"name,psnr"),
     (b"views,precision,weights", b"views,"),
     (b"capture,error\n", b"capture,error"),
     (b"generator,protocol,method", b"zipsplat"),

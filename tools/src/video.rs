@@ -131,6 +131,10 @@ fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
 fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &Stage<'_>) -> Result<Vec<PathBuf>> {
     let filter = format!("select='{}',{REGULAR}", any_of(chosen));
     let stem = video.file_stem().unwrap_or_default().to_string_lossy();
+    // Another video of this name has its frames there.
+    let is_taken = |stem: &str| (0..=chosen[chosen.len() - 1]).any(|i| folder.join(frame_name(stem, i)).exists());
+    let mut stems = (1..).map(|n| format!("{stem}-{n}"));
+    let stem = if is_taken(&stem) { stems.find(|stem| !is_taken(stem)).unwrap_or_default() } else { stem.into() };
     let mut photos = Vec::new();
     decode(
         ffmpeg,
@@ -140,7 +144,7 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
         read_ppm,
         |image| {
             let Some(frame) = chosen.get(photos.len()) else { return Ok(()) };
-            let path = folder.join(format!("{stem}-{frame:05}.jpg"));
+            let path = folder.join(frame_name(&stem, *frame));
             save_jpeg(&image, &path)?;
             photos.push(path);
             stage.reach(photos.len() as f64 / chosen.len() as f64)
@@ -151,6 +155,10 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
         return Err(Error::format(video, None, reason));
     }
     Ok(photos)
+}
+
+fn frame_name(stem: &str, frame: usize) -> String {
+    format!("{stem}-{frame:05}.jpg")
 }
 
 /// Expression of ffmpeg that is not 0 for these frames. ffmpeg refuses sums of more than 100 terms

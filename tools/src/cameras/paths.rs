@@ -67,7 +67,7 @@ pub struct CameraArgs {
     dolly_zoom: bool,
     /// Photo whose camera is the scene's world [default: that of the scene's file, if the camera
     /// file has it, else the cameras' world]
-    #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
+    #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "wiggle"])]
     relative_to: Option<PathBuf>,
     /// Number of pictures of a path
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u32).range(1..=100_000),
@@ -77,7 +77,8 @@ pub struct CameraArgs {
     /// side, else 252x252]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Horizontal field of view in degrees [default: the first photo's if known, else 60]
+    /// Horizontal field of view in degrees [default: that of a file's cameras, else of the first
+    /// photo if known, else 60]
     #[arg(long, value_name = "DEG")]
     fov: Option<f64>,
 }
@@ -89,6 +90,10 @@ impl CameraArgs {
 
     /// Also returns notes. `world` is the scene file's.
     pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
+        if let (Some(None), Some(photo)) = (&self.orbit, &self.relative_to) {
+            let found = format!("{} with --orbit", photo.display());
+            return Err(Error::argument("--relative-to", found, "--orbit=PATH, whose cameras it places"));
+        }
         let frames = self.frames as usize;
         let mut lens = self.lens(world.and_then(|world| world.lens.as_ref()))?;
         let (home, mut notes) = match (&self.orbit, world.map(|world| &world.origin)) {
@@ -152,16 +157,10 @@ impl CameraArgs {
 
     fn lens(&self, own: Option<&Intrinsics>) -> Result<Intrinsics> {
         let size = self.size.or(own.map(shown)).unwrap_or(SIZE);
-        if let (Some(own), None) = (own, self.fov) {
-            return Ok(cropped(own, size));
+        match (own, self.fov) {
+            (Some(own), None) => Ok(cropped(own, size)),
+            (_, fov) => with_fov(size, fov.unwrap_or(FOV)),
         }
-        let fov = self.fov.unwrap_or(FOV);
-        if !(fov > 0.0 && fov < 180.0) {
-            return Err(Error::argument("field of view", fov, "degrees between 0 and 180"));
-        }
-        let (Size(width, height), hfov) = (size, fov.to_radians());
-        let vfov = 2.0 * ((hfov / 2.0).tan() * f64::from(height) / f64::from(width)).atan();
-        Ok(Intrinsics::from_fov(width, height, hfov, vfov))
     }
 
     /// Reads a file's cameras, in the world of the requested photo, else of the scene's photo if
@@ -180,11 +179,16 @@ impl CameraArgs {
         };
         let size = self.size.or(alike.then(|| shown(&first.camera.intrinsics)));
         let (to_scene, note) = to_scene(self.relative_to.as_deref(), &poses, world, path)?;
-        let camera = |camera: Camera| Camera {
-            intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
-            ..to_scene.apply(&camera)
+        let camera = |camera: Camera| {
+            let own = camera.intrinsics;
+            let intrinsics = match (self.fov, size) {
+                (Some(fov), _) => with_fov(size.unwrap_or(Size(own.width, own.height)), fov)?,
+                (None, Some(size)) => cropped(&own, size),
+                (None, None) => own,
+            };
+            Ok(Camera { intrinsics, ..to_scene.apply(&camera) })
         };
-        let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect();
+        let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect::<Result<_>>()?;
         poses.warnings.extend(note);
         Ok((cameras, poses.warnings))
     }
@@ -308,6 +312,15 @@ fn shown(intrinsics: &Intrinsics) -> Size {
     let scale = f64::from(SIDE) / f64::from(width.max(height));
     let side = |side: u32| if scale < 1.0 { ((f64::from(side) * scale).round() as u32).max(1) } else { side };
     Size(side(width), side(height))
+}
+
+fn with_fov(Size(width, height): Size, fov: f64) -> Result<Intrinsics> {
+    if !(fov > 0.0 && fov < 180.0) {
+        return Err(Error::argument("field of view", fov, "degrees between 0 and 180"));
+    }
+    let horizontal = fov.to_radians();
+    let vertical = 2.0 * ((horizontal / 2.0).tan() * f64::from(height) / f64::from(width)).atan();
+    Ok(Intrinsics::from_fov(width, height, horizontal, vertical))
 }
 
 /// Crops as `reconstruct` crops photos.

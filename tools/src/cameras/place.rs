@@ -30,8 +30,12 @@ impl Place<'_> {
         }
     }
 
+    pub fn points(&self) -> PathBuf {
+        self.beside("points.ply")
+    }
+
     fn files(&self) -> [PathBuf; 3] {
-        [self.0.to_owned(), self.beside("points.ply"), self.beside("colmap.log")]
+        [self.0.to_owned(), self.points(), self.beside("colmap.log")]
     }
 
     pub fn check(&self, overwrite: Overwrite) -> Result<()> {

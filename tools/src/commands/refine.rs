@@ -31,7 +31,8 @@ use zipsplat::{
 /// The scene's world is that of the cameras, or the camera of a photo that the scene's file or
 /// --relative-to names. From 40 photos on one is held out, and the best step by that photo is
 /// written. Ctrl-C stops early and writes the best step so far. FILE.checkpoint beside the scene
-/// keeps the state, every minute and at Ctrl-C; the same command resumes.
+/// keeps the state, every minute and at Ctrl-C; the same command resumes. With --cameras colmap
+/// there is none: COLMAP's cameras differ in each run.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --cameras transforms.json -o better.ply
@@ -108,21 +109,19 @@ impl Refine {
         let device = session.device()?;
         let unit = 1.0 / started.to_scene.scale;
         let known = self.settings.known_depth(session, (&photos, &frames), &started.cameras, unit)?;
-        let checkpoint = refinement::checkpoint(&self.output, &photos, masks.as_ref(), known.as_ref())?;
+        let checkpoint = || refinement::checkpoint(&self.output, &photos, masks.as_ref(), known.as_ref());
+        let checkpoint = refinement::has_stable_cameras(&self.cameras).then(checkpoint).transpose()?;
         let files = WithDepth(PhotoFiles::new(&photos, &frames, masks)?, known.as_ref());
         let (refined, request) = self.refine(session, &device, &started, (files, &photos, checkpoint))?;
         let options = SaveOptions::default();
         let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         session.notes(notes);
         if let Some(path) = &self.cameras_out {
-            save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames)?;
+            let points = poses.points.as_deref().filter(|_| !KnownCameras::to_find(&self.cameras));
+            save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames, points)?;
         }
         if refined.stop_reason == Some(StopReason::Cancelled) {
-            session.note(format!(
-                "{}: the best so far, after step {}; the same command continues",
-                self.output.display(),
-                refined.best_step
-            ));
+            session.note(refinement::cancellation(&self.output, &request, &refined));
             return Err(Error::Cancelled);
         }
         refinement::remove_checkpoint(&request, &refined);
@@ -176,12 +175,12 @@ impl Refine {
         session: &mut Session<'_>,
         device: &Device,
         started: &Started,
-        (photos, paths, checkpoint): (WithDepth<'_, PhotoFiles<'_>>, &[PathBuf], RefineCheckpoint),
+        (photos, paths, checkpoint): (WithDepth<'_, PhotoFiles<'_>>, &[PathBuf], Option<RefineCheckpoint>),
     ) -> Result<(RefineResult, RefineOptions)> {
         let request = RefineOptions {
             views_per_step: self.views_per_step,
             profile: self.explain,
-            checkpoint: Some(checkpoint),
+            checkpoint,
             ..self.settings.request(self.steps, self.input.antialiased, photos.1.map(|known| known.kind), paths)
         };
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));

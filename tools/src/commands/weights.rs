@@ -1,5 +1,5 @@
 use crate::{
-    download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
+    download::{Client, Lock, Promise, TAG, fetch, is_sha256, kept, promise},
     options::BUILTIN,
     outputs::size_of,
     released::{self, Kind, RELEASED, Released},
@@ -11,7 +11,7 @@ use indicatif::HumanCount;
 use serde_json::json;
 use std::{
     io::{IsTerminal, stdin},
-    path::Path,
+    path::{Path, PathBuf},
     time::Duration,
 };
 use zipsplat::{
@@ -118,9 +118,13 @@ impl Get {
     fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let released = Released::named(&self.name).ok_or_else(|| unknown(&self.name))?;
         let folder = released::folder()?;
-        let cached = released.cached(&folder).into_iter().next();
+        let pinned = |path: &PathBuf| match (&self.sha256, path.file_name()) {
+            (Some(sha256), Some(name)) => name.to_string_lossy().contains(&format!("-{}", &sha256[..TAG])),
+            _ => true,
+        };
+        let cached = released.cached(&folder).into_iter().find(pinned);
         if let Some(by) = self.offline.then_some("--offline").or(is_offline().then_some("HF_HUB_OFFLINE")) {
-            return match (cached, released.loaded(&folder).into_iter().next()) {
+            return match (cached, released.loaded(&folder).into_iter().find(pinned)) {
                 (Some(path), _) => report(session, released, &path),
                 (None, Some(archive)) => {
                     let _lock = lock(session, released, &folder)?;

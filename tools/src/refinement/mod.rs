@@ -5,11 +5,12 @@ mod report;
 
 pub use initialization::Initialization;
 pub use options::{DEFAULT_LENGTH, RefineArgs, RefineSettings, RefineTask, join_steps, parse_steps, with_cameras};
-pub use report::{as_json, explain, summary};
+pub use report::{as_json, cancellation, explain, summary};
 
 use crate::{
-    cameras::{Similarity, path_from},
+    cameras::{Finder, Similarity, path_from},
     known_depth::KnownDepth,
+    outputs::make_folder,
     session::{Session, Stage},
     stamp::{digest, stamp},
 };
@@ -48,6 +49,11 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
+/// Returns whether a rerun has equal cameras: those that COLMAP estimates differ.
+pub fn has_stable_cameras(cameras: &Path) -> bool {
+    Finder::named(cameras).is_none_or(|finder| finder.family().is_some())
+}
+
 /// Returns the checkpoint of a refinement that writes `output`: a file beside it.
 pub fn checkpoint(
     output: &Path,
@@ -68,7 +74,7 @@ pub fn checkpoint(
 
 /// Removes the checkpoint of a scene that is written, unless unreadable files ended the refinement.
 pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
-    let is_needed = matches!(refined.stop_reason, Some(StopReason::Io(_)));
+    let is_needed = matches!(refined.stop_reason, Some(StopReason::Failed(_)));
     if let Some(checkpoint) = request.checkpoint.as_ref().filter(|_| !is_needed) {
         std::fs::remove_file(&checkpoint.path).ok();
     }
@@ -123,7 +129,7 @@ pub fn refine(
         (Ok(_) | Err(Error::Cancelled), Some(refined)) => refined,
         (staged, _) => return Err(staged.err().unwrap_or(Error::Cancelled)),
     };
-    session.notes(report::doubt(&refined));
+    session.notes(report::doubt(&refined, request));
     match refined.stop_reason {
         Some(StopReason::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
         _ => Ok(refined),
@@ -135,19 +141,24 @@ fn progress_message(at: &RefineProgress<'_>) -> String {
     format!("refine, loss {:.4}{psnr}", at.loss)
 }
 
-/// `to_world` maps the scene to the cameras' world.
+/// `to_world` maps the scene to the cameras' world. The file refers to `points` of that world if
+/// they are a PLY.
 pub fn save_cameras(
     path: &Path,
     refined: &RefineResult,
     to_world: &Similarity,
     photos: &[PathBuf],
     frames: &[&CaptureView],
+    points: Option<&Path>,
 ) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    make_folder(folder)?;
     let moved = |((camera, photo), frame): ((&Camera, &PathBuf), &&CaptureView)| {
         let camera = Camera { intrinsics: frame.camera.intrinsics, ..to_world.apply(camera) };
         Ok(CaptureView { name: path_from(folder, photo)?, camera, ..CaptureView::clone(frame) })
     };
     let moved = refined.cameras.iter().zip(photos).zip(frames).map(moved).collect::<Result<Vec<CaptureView>>>()?;
-    write_frames(path, &moved, None)
+    let is_ply = |points: &&Path| points.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply"));
+    let points = points.filter(is_ply).and_then(|points| path_from(folder, points).ok());
+    write_frames(path, &moved, points.as_deref())
 }

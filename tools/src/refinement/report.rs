@@ -2,7 +2,7 @@ use super::{RefineSettings, TOKENS};
 use crate::table::{Table, bytes, counted, significant, time};
 use glam::DQuat;
 use serde_json::{Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use zipsplat::{
     refine::{DepthKind, DepthLoss, LearningRates, RefineOptions, RefineResult, StopReason},
     types::{Camera, Pose, median},
@@ -134,14 +134,25 @@ fn ended(refined: &RefineResult) -> String {
     match &refined.stop_reason {
         None => "after all steps".into(),
         Some(StopReason::Cancelled) => "cancelled".into(),
-        Some(StopReason::Diverged(why) | StopReason::Io(why)) => why.clone(),
+        Some(StopReason::Diverged(why) | StopReason::Failed(why)) => why.clone(),
     }
 }
 
 /// Photos below which refinement overfits.
 const FEW: usize = 6;
 
-pub(super) fn doubt(refined: &RefineResult) -> Option<String> {
+/// Returns a note on the best scene so far, in `output`.
+pub fn cancellation(output: &Path, request: &RefineOptions, refined: &RefineResult) -> String {
+    let (output, step) = (output.display(), refined.best_step);
+    format!("{output}: the best so far, after step {step}{}", hint_to_resume(request))
+}
+
+/// Empty without a checkpoint.
+fn hint_to_resume(request: &RefineOptions) -> &'static str {
+    if request.checkpoint.is_some() { "; the same command continues" } else { "" }
+}
+
+pub(super) fn doubt(refined: &RefineResult, request: &RefineOptions) -> Option<String> {
     let training = refined.cameras.len() - refined.holdout_views.len();
     match &refined.stop_reason {
         None if refined.holdout_views.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
@@ -149,8 +160,8 @@ pub(super) fn doubt(refined: &RefineResult) -> Option<String> {
              --holdout-views 1 measures it",
             counted(training, "photo")
         )),
-        Some(reason @ (StopReason::Diverged(why) | StopReason::Io(why))) => {
-            let remedy = if matches!(reason, StopReason::Io(_)) { "; the same command continues" } else { "" };
+        Some(reason @ (StopReason::Diverged(why) | StopReason::Failed(why))) => {
+            let remedy = if matches!(reason, StopReason::Failed(_)) { hint_to_resume(request) } else { "" };
             Some(format!(
                 "the refinement ended early: {why}; the scene after step {} is kept{remedy}",
                 refined.best_step

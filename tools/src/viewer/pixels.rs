@@ -52,7 +52,8 @@ impl FromPhotos {
         let poses = known.as_ref().map(|known| &known.poses);
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let masks = self.finding.masks();
-        let options = PredictorOptions { masks, ..self.quality.predictor_options(checkpoint) };
+        let options = self.quality.predictor_options(checkpoint);
+        let options = PredictorOptions { masks, cameras: self.finding.cameras, ..options };
         let (prepared, _) = session.stage("load photos", |stage| options.read(&photos, &frames, stage))?;
         let ratios = self.ratios(prepared.patches(checkpoint.architecture().backbone.patch_size))?;
         let device = session.device()?;

@@ -129,7 +129,7 @@ impl Watched {
                 let why = match &refined.stop_reason {
                     None => format!("Refined: {kept} of {}.", refined.losses.len()),
                     Some(StopReason::Cancelled) => format!("Stopped: {kept}, the best so far."),
-                    Some(StopReason::Diverged(why) | StopReason::Io(why)) => {
+                    Some(StopReason::Diverged(why) | StopReason::Failed(why)) => {
                         format!("Ended early, {why}: {kept}.")
                     }
                 };

@@ -1,7 +1,7 @@
 use super::{Eval, Scaling, alignment::Alignment};
 use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
-    depth::DepthPredictor,
+    depth::{DepthPredictor, PredictorOptions},
     known_depth::WithDepth,
     options::{Network as Weighed, Quality, refuse},
     refinement::{self, Initialization, Refinable, RefineTask},
@@ -137,10 +137,11 @@ impl<'a> Evaluator<'a> {
         } else {
             let predictor = match self.scaler.take() {
                 Some(predictor) => predictor,
-                None => self
-                    .quality
-                    .predictor_options(&open_depth(from, DepthHeads::default())?)
-                    .open(session, &self.device)?,
+                None => {
+                    let checkpoint = open_depth(from, DepthHeads::default())?;
+                    let options = PredictorOptions::of(&checkpoint, &self.quality.arithmetic);
+                    PredictorOptions { side: self.quality.side(), ..options }.open(session, &self.device)?
+                }
             };
             let (predictor, frames) = (self.scaler.insert(predictor), choice.input_frames());
             let (mut predicted, _) = session.stage("depth", |stage| {

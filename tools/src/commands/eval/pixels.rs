@@ -6,7 +6,7 @@ use super::{
 use crate::{
     cameras::Similarity,
     capture::{Choice, ViewSplit},
-    depth::{DEPTH_WEIGHTS, check_finds_cameras, square},
+    depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras, square},
     options::{Size, refuse},
     session::Session,
     views::Crop,
@@ -43,9 +43,14 @@ impl Evaluator<'_> {
     ) -> Result<Reconstruction> {
         let predictor = match self.predictor.take() {
             Some(predictor) => predictor,
-            None => self.quality.predictor_options(checkpoint).open(session, &self.device)?,
+            None => {
+                let options = self.quality.predictor_options(checkpoint);
+                PredictorOptions { cameras: self.eval.finding.cameras, ..options }.open(session, &self.device)?
+            }
         };
         let predictor = self.predictor.insert(predictor);
+        // An earlier variant may have opened it.
+        predictor.select(&self.quality);
         let (inputs, pose_free) = (choice.input_frames(), self.eval.pose_free);
         let known = if pose_free { &[][..] } else { &inputs[..] };
         let (mut predicted, took) = session.stage("depth", |stage| {

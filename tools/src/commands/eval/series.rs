@@ -144,7 +144,7 @@ impl Series<'_> {
         session: &mut Session<'_>,
     ) -> Result<()> {
         let limit = self.eval.series.limit.unwrap_or(usize::MAX);
-        let (all, began) = (places.len() * settings.len(), Instant::now());
+        let (all, began, unknown) = (places.len() * settings.len(), Instant::now(), tally.unknown);
         for (i, (place, setting)) in places.iter().flat_map(|p| settings.iter().map(move |s| (p, s))).enumerate() {
             if tally.evaluated + tally.failures.len() >= limit {
                 break;
@@ -165,7 +165,7 @@ impl Series<'_> {
                 }
             }
         }
-        if tally.unknown == all {
+        if tally.unknown - unknown == all {
             let expected = format!("names of scenes among {}", self.eval.folders[0].display());
             return Err(Error::argument("--indices", "none of the scenes", expected));
         }
@@ -268,8 +268,9 @@ impl Options {
 impl Eval {
     fn settings_key(&self, weights: &Network, seeing: Seeing, evaluator: &Evaluator<'_>) -> Result<String> {
         let (version, precision) = (env!("CARGO_PKG_VERSION"), evaluator.precision.name());
-        let Self { refine, converge, pose_noise, scene_scale, .. } = self;
+        let Self { refine, converge, pose_noise, scene_scale, blocks, finding, .. } = self;
         let weights = hash_of_weights(Path::new(weights.provenance()))? + weights.provenance();
+        let network = format!("{weights} {precision} {blocks:?} {:?}", finding.cameras);
         let lpips = self.lpips.file(evaluator.device.cache_dir(), true)?;
         let lpips = lpips.map(|(_, path)| hash_of_weights(&path)).transpose()?;
         let scaler = if let Some(Scaling::Depth(from)) = scene_scale {
@@ -278,7 +279,7 @@ impl Eval {
             String::new()
         };
         Ok(format!(
-            "{version} {weights} {precision} {seeing:?} {:?} {refine:?} {converge} {pose_noise} {scene_scale:?} {scaler} {lpips:?} {} {}",
+            "{version} {network} {seeing:?} {:?} {refine:?} {converge} {pose_noise} {scene_scale:?} {scaler} {lpips:?} {} {}",
             self.aligning(),
             self.series.keep_distortion,
             self.external.key()

@@ -15,7 +15,7 @@ use crate::{
     options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::PhotoArgs,
-    refinement::{self, Initialization, RefineArgs, placed, save_cameras},
+    refinement::{self, Initialization, RefineArgs, has_stable_cameras, placed, save_cameras},
     session::{Session, stage_seconds},
     table::{bytes, counted, time},
     video::FrameFolder,
@@ -30,13 +30,13 @@ use serde_json::json;
 use std::{
     fmt::Write,
     path::{Path, PathBuf},
-    time::Duration,
+    time::{Duration, Instant},
 };
 use world::{WorldName, coarse};
 use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
-    refine::{RefineResult, StopReason},
+    refine::StopReason,
     stages::render::Renderer,
     types::{
         SaveOptions,
@@ -211,7 +211,10 @@ impl Reconstruct {
                     Network::Tokens(checkpoint) => Some(checkpoint),
                     Network::Pixels(_) => None,
                 };
-                let given = RefineInputs { device: &device, checkpoint, forward: forward.as_ref() };
+                let stable = self.cameras.as_deref().is_none_or(has_stable_cameras);
+                // Converted photos are new files.
+                let is_repeatable = stable && frame_folder.is_none();
+                let given = RefineInputs { device: &device, checkpoint, forward: forward.as_ref(), is_repeatable };
                 Some(self.refine_scene(session, steps, start, given, cloud.as_ref(), posed)?)
             }
             _ => None,
@@ -225,24 +228,26 @@ impl Reconstruct {
             session.notes(coarse(first, forward.as_ref()));
         }
         let save = || outputs::save_scene(self.output(), &scene, &SaveOptions::default(), world.as_ref());
-        if let Some(RefinedScene {
-            refined: RefineResult { stop_reason: Some(StopReason::Cancelled), best_step, .. },
-            ..
-        }) = &refined
-        {
+        let is_cancelled = |made: &&RefinedScene| made.refined.stop_reason == Some(StopReason::Cancelled);
+        if let Some(made) = refined.as_ref().filter(is_cancelled) {
             session.notes(save()?);
-            let output = self.output().display();
-            session.note(format!("{output}: the best so far, after step {best_step}; the same command continues"));
+            session.note(refinement::cancellation(self.output(), &made.request, &made.refined));
             return Err(Error::Cancelled);
         }
-        let (notes, write) = session.stage("write", |_| save())?;
-        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request, &made.refined));
-        session.notes(notes);
+        // A stage would drop the scene at Ctrl-C.
+        let begin = Instant::now();
+        session.notes(save()?);
+        let write = begin.elapsed();
         let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
         if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
-            save_cameras(path, refined, &(*first).into(), &photos, &frames)?;
+            let points = match &found {
+                Some(_) => Some(Place(path).points()),
+                None => poses.as_ref().and_then(|poses| poses.points.clone()),
+            };
+            save_cameras(path, refined, &(*first).into(), &photos, &frames, points.as_deref())?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
+        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request, &made.refined));
         if let (Some(path), Some(found)) =
             (&self.cameras_out, forward.as_ref().and_then(|forward| forward.found.as_ref()))
         {

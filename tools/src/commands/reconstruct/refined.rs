@@ -23,6 +23,8 @@ pub struct RefineInputs<'a> {
     pub device: &'a Device,
     pub checkpoint: Option<&'a Checkpoint>,
     pub forward: Option<&'a Forward>,
+    /// A rerun has equal photos and cameras.
+    pub is_repeatable: bool,
 }
 
 pub struct RefinedScene {
@@ -56,7 +58,8 @@ impl Reconstruct {
         let masks = self.finding.masks();
         let settings = &self.refine.settings;
         let known = settings.known_depth(session, (photos, frames), &cameras, 1.0)?;
-        let checkpoint = Some(refinement::checkpoint(self.output(), photos, masks.as_ref(), known.as_ref())?);
+        let checkpoint = || refinement::checkpoint(self.output(), photos, masks.as_ref(), known.as_ref());
+        let checkpoint = inputs.is_repeatable.then(checkpoint).transpose()?;
         let paths = photos;
         let photos = WithDepth(PhotoFiles::new(photos, frames, masks)?, known.as_ref());
         let depth = known.as_ref().map(|known| known.kind);

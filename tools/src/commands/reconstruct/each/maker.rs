@@ -85,8 +85,9 @@ impl<'a> Maker<'a> {
         }
         outputs::make_folder(batch.command.output())?;
         let device = session.device()?;
-        let predictor = quality.predictor_options(checkpoint).open(session, &device)?;
-        let size = format!("{:?}", quality.side());
+        let options = batch.command.predictor_options(checkpoint);
+        let size = format!("{:?}", options.side);
+        let predictor = options.open(session, &device)?;
         let settings_key = batch.settings_key(checkpoint.provenance(), &size, predictor.precision().name())?;
         Ok((Self::Pixels(Box::new(predictor)), settings_key))
     }

@@ -179,11 +179,12 @@ impl<'a> Batch<'a> {
 
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = hash_of_weights(Path::new(weights))?;
-        let Reconstruct { quality, views, format, blocks, .. } = self.command;
+        let Reconstruct { quality, views, format, blocks, finding, .. } = self.command;
         let Quality { ratio, token_selection, kv_pool, .. } = quality;
         let options = [
             format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", quality.kept(), self.crop()),
-            format!("{size} {precision} {} {views:?} {format} {:?}", self.posed, blocks.options()),
+            format!("{size} {precision} {} {views:?} {format}", self.posed),
+            format!("{:?} {:?}", blocks.options(), finding.cameras),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
     }
