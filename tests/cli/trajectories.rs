@@ -237,7 +237,6 @@ fn unusable_requests_leave_no_file() {
     for line in [
         "--orbit",
         "--orbit --loop -o @/out",
-        "--orbit --relative-to a.png -o @/out",
         "--cameras @/cameras.json --dolly-zoom -o @/out",
         "--wiggle --travel 0.2 -o @/out",
         "--orbit --fps 0 --video @/a.gif",

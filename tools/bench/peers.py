@@ -13,7 +13,7 @@ OpenSplat ignores principal points: its crops have eval's scale but are centered
 the few rows or columns that the photo lacks. Sides are multiples of 4, since training starts at a
 quarter of the size. By default it doubles the size after 3,000 and 6,000 steps. On one thread, 200
 steps measure its speed for the shortest time. Runs are repeated with corrected numbers of steps
-until one ends with at least 90 % of the CPU time. At the limit a run is killed; its last saved
+until one ends with at least 85 % of the CPU time. At the limit a run is killed; its last saved
 scene counts if no run ends in time. For zipsplat's black background, build OpenSplat with zeros as
 backgroundColor in model.hpp.
 """
@@ -168,7 +168,7 @@ def opensplat(args, capture, ours, shorter, folder):
         for _ in range(TRIES):
             scene, saved, reached, cpu = train(args, Path(data), steps, limit)
             print(f"{capture.name}: {reached} of {steps} steps in {cpu:.0f} of {limit} CPU seconds", file=sys.stderr)
-            if saved == steps and cpu >= 0.9 * limit:
+            if saved == steps and cpu >= 0.85 * limit:
                 break
             steps = steps_within(args, limit, reached, cpu)
         if not scene:
