@@ -82,7 +82,6 @@ impl Problem {
         widen(&self.values[cell * LIFTED..][..LIFTED])
     }
 
-    /// Returns the magnitudes of terms weighted by `weights`.
     fn magnitudes(&self, weights: impl Fn([f64; 2]) -> Vec<f64>) -> Vec<f64> {
         let absolute = |values: &[f32]| values.iter().map(|value| value.abs()).collect();
         let (features, values) = (absolute(&self.features), absolute(&self.values));

@@ -10,7 +10,6 @@ impl Noise {
         Self(Random::new(seed))
     }
 
-    /// Uniform in `low..high`.
     pub fn uniform(&mut self, low: f32, high: f32) -> f32 {
         self.0.uniform(low, high)
     }

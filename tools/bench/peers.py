@@ -155,7 +155,7 @@ def train(args, data, steps, limit):
 
 
 def steps_within(args, limit, steps, cpu):
-    """Extrapolates from a run's steps and CPU seconds. Photos that grow with the steps slow down later ones."""
+    """Extrapolates from a run's steps and CPU seconds. Growing photos slow down later steps."""
     factor, exponent = (0.99, 1.0) if args.resolution_part else (0.95, 0.8)
     return max(20, round(factor * steps * (limit / cpu) ** exponent))
 

@@ -244,7 +244,6 @@ fn pixels(axis: usize, of: &Intrinsics, from: &Intrinsics) -> Vec<Option<usize>>
     (0..count).map(|k| inside(at(k))).collect()
 }
 
-/// Reads [`VALUES`].
 fn read_values(file: &Path, photos: &[PathBuf], frames: &[&CaptureView]) -> Result<Vec<Option<Source>>> {
     let bytes = std::fs::read(file).map_err(|error| Error::io(file, error))?;
     let malformed = |found: String| malformed(file, found, "depth [photos, height, width] of `zipsplat depth`");

@@ -131,7 +131,7 @@ function readSpz4(bytes) {
     return whole;
 }
 
-// Extension records, of which other axes than right, up, back would turn the scene.
+// Refuses extension records with other axes than right, up, back.
 function checkAxes(records) {
     const view = new DataView(records.buffer, records.byteOffset, records.byteLength);
     for (let at = 0; at + 12 <= records.length; at += 8 + view.getUint32(at + 4, true))

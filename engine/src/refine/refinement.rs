@@ -53,8 +53,7 @@ pub(super) struct Refinement<'a> {
     losses: Vec<f32>,
     holdout_psnr: Vec<(usize, f64)>,
     evaluated: Option<usize>,
-    /// Steps between evaluations, and the first with exposures. A correction of the number of steps
-    /// leaves them.
+    /// Steps between evaluations, and the first with exposures, by the planned number of steps.
     interval: usize,
     first_exposed: usize,
     /// First step at the current size, and the least mean loss since then.

@@ -14,7 +14,7 @@ const PYCOLMAP: &str = include_str!("pycolmap.py");
 pub(super) const MASKS: &str = "masks";
 /// Names of the images to map first.
 pub(super) const KEYFRAMES: &str = "keyframes.txt";
-/// Pairs of images to match, instead of all neighbors.
+/// Pairs of images to match.
 pub(super) const PAIRS: &str = "pairs.txt";
 /// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;

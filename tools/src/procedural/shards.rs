@@ -1,24 +1,20 @@
 //! Scenes as flat binary for training, little-endian, without padding:
 //!
-//! | part | type | content |
-//! |---|---|---|
-//! | magic | 8 bytes | `ZSSCENES` |
-//! | format | u32 | 1 |
-//! | generator | u32 | [`VERSION`] of the generator |
-//! | scenes | u64 | number of scenes; 0: until the stream ends |
-//! | views V, height H, width W | 3 u32 | of every scene |
+//! - magic: 8 bytes `ZSSCENES`
+//! - format: u32 1
+//! - generator: u32 [`VERSION`]
+//! - number of scenes: u64; 0 until the stream ends
+//! - views V, height H, width W of every scene: u32 each
 //!
 //! then [`Header::scene_bytes`] bytes per scene:
 //!
-//! | part | type | content |
-//! |---|---|---|
-//! | seed | u64 | |
-//! | family, path | 2 u32 | indices in [`Family::ALL`] and [`PathKind`] |
-//! | intrinsics | f32 `[V][4]` | fx, fy, cx, cy in pixels, centers at +0.5 |
-//! | poses | f32 `[V][3][4]` | camera-to-world, OpenCV axes, row-major; the first is the identity |
-//! | overlap | f32 `[V][V]` | share of the first view's surfaces visible in the second |
-//! | colors | u8 `[V][H][W][3]` | sRGB |
-//! | depths | f16 `[V][H][W]` | z, 0 in the sky |
+//! - seed: u64
+//! - indices in [`Family::ALL`] and [`PathKind`]: u32 each
+//! - intrinsics: f32 `[V][4]` fx, fy, cx, cy in pixels, centers at +0.5
+//! - poses: f32 `[V][3][4]` camera-to-world, OpenCV axes, row-major; the first is the identity
+//! - overlap: f32 `[V][V]`, share of the first view's surfaces visible in the second
+//! - colors: u8 `[V][H][W][3]` sRGB
+//! - depths: f16 `[V][H][W]` z, 0 in the sky
 //!
 //! World: the first view's camera, any view of the path; the median distance of all points is 1.
 

@@ -298,7 +298,6 @@ pub(super) fn c_text(text: &str) -> CString {
     CString::new(text.replace('\0', " ")).expect("no NUL")
 }
 
-/// Returns the element of photo `index`.
 pub(super) fn element<T>(photos: &[T], index: usize) -> Result<&T> {
     let expected = || format!("a number below {}", photos.len());
     photos.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))

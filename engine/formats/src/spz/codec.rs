@@ -56,7 +56,6 @@ impl Layout {
         [self.sh_degree as u8, self.fractional_bits as u8, ANTIALIASED * u8::from(self.antialiased)]
     }
 
-    /// Bytes per Gaussian of each section.
     pub(super) fn section_bytes(&self) -> [usize; 6] {
         [9, 1, 3, 3, self.rotation_bytes(), 3 * self.rest()]
     }

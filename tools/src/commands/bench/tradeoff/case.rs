@@ -98,7 +98,6 @@ impl Case<'_> {
         let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
         let follows = |(start, steps): &(Initialization, RefineTask)| match start {
             _ if steps.length == RefineLength::Steps(0) || !self.is_first(args) => false,
-            // Tokens start from the scene.
             _ if steps.tokens => *start == Initialization::Scene,
             Initialization::Points => is_new,
             _ => true,
