@@ -105,7 +105,7 @@ void main() {
     if (!(p.z >= near && opacity >= ALPHA_MIN)) return;
 
     vec2 half_size = 0.5 * size, limit = half_size / focal * 1.3;
-    vec2 slope = clamp(p.xy / p.z, -limit, limit);
+    vec2 slope = clamp(p.xy / p.z, -limit - shift, limit - shift);
     mat3 turn = rotation(vec4(unpackSnorm2x16(second.w), unpackSnorm2x16(third.w))), rows = transpose(view * turn);
     vec3 scale = min(uintBitsToFloat(second.xyz), SCALE_MAX * p.z / focal.x);
     vec3 u = focal.x / p.z * (rows[0] - slope.x * rows[2]) * scale;

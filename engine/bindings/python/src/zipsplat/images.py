@@ -163,8 +163,10 @@ def matched(
                 f"found an image of type {type(source).__name__}, expected paths: a Capture knows photos by their names"
             )
         first = cameras.find(source)
+        if first is None:
+            continue
         # Wide photos have several views.
-        for view in [] if first is None else cameras[first:]:
+        for view in cameras[first:]:
             if view.name != cameras[first].name:
                 break
             posed.append(_Posed(cameras, view.index, source))

@@ -171,10 +171,12 @@ class Scene:
             >>> scene = Scene.from_points(points, colors, capture.cameras).refine(capture)
         """
         points = np.ascontiguousarray(positions, np.float32)
-        given = None if colors is None else np.asarray(colors)
-        paint = None if given is None else np.ascontiguousarray(given, np.uint8)
-        if given is not None and (given.dtype.kind not in "iu" or not np.array_equal(given, paint)):
-            raise ArgumentTypeError(f"colors: found {given.dtype}, expected whole numbers from 0 to 255, as uint8")
+        paint = None
+        if colors is not None:
+            given = np.asarray(colors)
+            paint = np.ascontiguousarray(given, np.uint8)
+            if given.dtype.kind not in "iu" or not np.array_equal(given, paint):
+                raise ArgumentTypeError(f"colors: found {given.dtype}, expected whole numbers from 0 to 255, as uint8")
         for name, array in (("positions", points), ("colors", points if paint is None else paint)):
             if array.shape != (len(points), 3) or points.ndim != 2:
                 raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected [N, 3]")
