@@ -74,11 +74,11 @@ fn every_step_can_be_continued_bit_by_bit() {
         refused(&options(&path), &["truncated"]);
         assert_eq!(std::fs::read(&path).unwrap(), &saved[..len], "nothing is lost");
     }
-    let version = b"1 of zipsplat";
+    let version = b"2 of zipsplat";
     let at = saved.windows(version.len()).position(|bytes| bytes == version).unwrap();
     let older = [&saved[..at], b"0", &saved[at + 1..]].concat();
     std::fs::write(&path, older).unwrap();
-    refused(&options(&path), &["version", "0 of zipsplat", "1 of zipsplat"]);
+    refused(&options(&path), &["version", "0 of zipsplat", "2 of zipsplat"]);
     std::fs::write(&path, &saved).unwrap();
     assert!(same(&until(usize::MAX, &options(&path)).unwrap(), &whole));
 }
