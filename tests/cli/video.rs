@@ -97,15 +97,15 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
     }
     folder.make("day");
     std::fs::copy(folder.path("plain.mp4"), folder.path("day/plain.mp4")).expect("a copy");
-    let line = "cameras @/plain.mp4 @/day/plain.mp4 --views 3 --colmap @/colmap -o @/days/c.json --json";
+    let line = "cameras @/plain.mp4 @/day/plain.mp4 --views 6 --colmap @/colmap -o @/days/c.json --json";
     model(&folder.path("colmap.model/0"), &[("0/000004.jpg", &camera(64, 48))]);
     folder.run(line).json();
     let frames = std::fs::read_dir(folder.path("days/frames")).expect("frames");
     let mut names: Vec<String> = frames.map(|frame| frame.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
-    assert_eq!(names.len(), 6);
-    assert!(names[..3].iter().all(|name| name.starts_with("plain-0")), "{names:?}");
-    assert!(names[3..].iter().all(|name| name.starts_with("plain-1-0")), "{names:?}");
+    assert_eq!(names.len(), 12);
+    assert!(names[..6].iter().all(|name| name.starts_with("plain-0")), "{names:?}");
+    assert!(names[6..].iter().all(|name| name.starts_with("plain-1-0")), "{names:?}");
     folder.write("list.mp4", "ffconcat version 1.0\nfile plain.mp4\n");
     let line = "cameras @/list.mp4 --views 5 --colmap @/colmap -o @/list.json --overwrite";
     folder.run(line).fails(3, &["list.mp4", "ffmpeg cannot read it"]);
