@@ -11,7 +11,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Image, write_atomic},
+    types::{Image, open_file, write_atomic},
 };
 
 /// Output options of ffmpeg for [`read_ppm`].
@@ -136,6 +136,11 @@ pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> 
 pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
     let bytes = image.jpeg(QUALITY)?;
     write_atomic(path, |out| out.write_all(&bytes))
+}
+
+/// `None` without EXIF.
+pub fn exif_of(photo: &Path) -> Option<exif::Exif> {
+    exif::Reader::new().read_from_container(&mut BufReader::new(open_file(photo).ok()?)).ok()
 }
 
 /// With an EXIF focal length in millimeters for 35 mm film, COLMAP's initial one.

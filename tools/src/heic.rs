@@ -1,10 +1,10 @@
 use crate::{
-    decode::{AS_PPM, decode, input, read_ppm, save_jpeg, save_jpeg_of_focal},
+    decode::{AS_PPM, decode, exif_of, input, read_ppm, save_jpeg, save_jpeg_of_focal},
     process,
     session::{Session, Stage},
 };
 use std::{
-    io::{BufReader, Read},
+    io::Read,
     path::{Path, PathBuf},
     process::Command,
 };
@@ -41,7 +41,7 @@ pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], fold
 
 /// In millimeters for 35 mm film, by EXIF. It tells a phone's lenses apart.
 fn focal_length(picture: &Path) -> Option<u16> {
-    let read = exif::Reader::new().read_from_container(&mut BufReader::new(open_file(picture).ok()?)).ok()?;
+    let read = exif_of(picture)?;
     let field = read.get_field(exif::Tag::FocalLengthIn35mmFilm, exif::In::PRIMARY)?;
     field.value.get_uint(0)?.try_into().ok().filter(|focal| *focal > 0)
 }

@@ -133,8 +133,8 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     let stem = video.file_stem().unwrap_or_default().to_string_lossy();
     // Another video of this name has its frames there.
     let is_taken = |stem: &str| (0..=chosen[chosen.len() - 1]).any(|i| folder.join(frame_name(stem, i)).exists());
-    let mut stems = (1..).map(|n| format!("{stem}-{n}"));
-    let stem = if is_taken(&stem) { stems.find(|stem| !is_taken(stem)).unwrap_or_default() } else { stem.into() };
+    let mut stems = (0..).map(|n| if n == 0 { stem.to_string() } else { format!("{stem}-{n}") });
+    let stem = stems.find(|stem| !is_taken(stem)).expect("endless");
     let mut photos = Vec::new();
     decode(
         ffmpeg,

@@ -1,9 +1,8 @@
 use super::colmap::{KEYFRAMES, MASKS, PAIRS};
-use crate::{outputs::make_folder, scratch::Scratch, session::Stage};
+use crate::{decode::exif_of, outputs::make_folder, scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
-    fs::File,
-    io::{BufReader, ErrorKind},
+    io::ErrorKind,
     path::{Path, PathBuf},
 };
 use zipsplat::{
@@ -52,9 +51,9 @@ impl Work {
         Ok(work)
     }
 
-    /// Lists at most `most` photos at equal distances, and the pairs to match: keyframes as COLMAP's
-    /// sequential matching would, the others with the keyframes around them. Returns the number of
-    /// keyframes.
+    /// Lists at most `most` keyframes at equal distances, and the pairs to match: of keyframes those
+    /// of COLMAP's sequential matching, of others those with the keyframes around them. Returns the
+    /// number of keyframes.
     pub fn choose_keyframes(&self, most: usize) -> Result<usize> {
         let count = self.photos.len();
         let distance = count.div_ceil(most);
@@ -151,7 +150,7 @@ pub fn lenses(photos: &[PathBuf]) -> Result<Vec<usize>> {
 
 /// A phone may have several lenses.
 fn optics(photo: &Path) -> Option<String> {
-    let read = exif::Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;
+    let read = exif_of(photo)?;
     let tags = [exif::Tag::Model, exif::Tag::FocalLength, exif::Tag::FocalLengthIn35mmFilm];
     let value = |tag| read.get_field(tag, exif::In::PRIMARY).map(|field| field.display_value().to_string());
     Some(tags.map(|tag| value(tag).unwrap_or_default()).join(" "))

@@ -1,10 +1,7 @@
 use super::RefineSettings;
+use crate::decode::exif_of;
 use clap::ValueEnum;
-use std::{
-    fs::File,
-    io::BufReader,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 use zipsplat::refine::{self, RefineResult};
 
 /// Difference of EXIF exposures, in stops, beyond which exposures are learned.
@@ -59,8 +56,8 @@ fn stops(photos: &[PathBuf]) -> Option<f64> {
 
 /// Base 2 logarithm of time times ISO over the squared f-number.
 fn exposure(photo: &Path) -> Option<f64> {
-    use exif::{In, Reader, Tag, Value};
-    let read = Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;
+    use exif::{In, Tag, Value};
+    let read = exif_of(photo)?;
     let number = |tag| match &read.get_field(tag, In::PRIMARY)?.value {
         Value::Rational(found) => found.first().map(|number| number.to_f64()),
         value => value.get_uint(0).map(f64::from),

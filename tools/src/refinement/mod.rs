@@ -72,7 +72,7 @@ pub fn checkpoint(
     Ok(RefineCheckpoint::new(path.into(), digest(&parts)))
 }
 
-/// Removes the checkpoint of a scene that is written, unless unreadable files ended the refinement.
+/// Removes the checkpoint of a scene that is written, unless a failure ended the refinement.
 pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
     let is_needed = matches!(refined.stop_reason, Some(StopReason::Failed(_)));
     if let Some(checkpoint) = request.checkpoint.as_ref().filter(|_| !is_needed) {

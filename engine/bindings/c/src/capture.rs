@@ -103,7 +103,7 @@ pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *cons
     guard(|| {
         // SAFETY: the caller's arguments.
         let (capture, path) = unsafe { (&borrow(capture, "capture")?.capture, text(path, "path")?) };
-        // Relative to the file's folder otherwise.
+        // Readers resolve relative paths from the file's folder.
         let points = capture.points.as_deref().and_then(|points| std::path::absolute(points).ok());
         Ok(write_frames(path, &capture.frames, points.as_deref().and_then(Path::to_str))?)
     })
