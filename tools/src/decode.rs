@@ -138,7 +138,6 @@ pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
     write_atomic(path, |out| out.write_all(&bytes))
 }
 
-/// `None` without EXIF.
 pub fn exif_of(photo: &Path) -> Option<exif::Exif> {
     exif::Reader::new().read_from_container(&mut BufReader::new(open_file(photo).ok()?)).ok()
 }

@@ -51,8 +51,8 @@ impl Work {
         Ok(work)
     }
 
-    /// Lists at most `most` keyframes at equal distances, and the pairs to match: of keyframes those
-    /// of COLMAP's sequential matching, of others those with the keyframes around them. Returns the
+    /// Lists at most `most` keyframes at equal distances, and pairs to match: of keyframes those of
+    /// COLMAP's sequential matching, of others those with the keyframes around them. Returns the
     /// number of keyframes.
     pub fn choose_keyframes(&self, most: usize) -> Result<usize> {
         let count = self.photos.len();
