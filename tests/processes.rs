@@ -31,6 +31,16 @@ pub fn resident_bytes() -> u64 {
     4096 * pages.split(' ').nth(1).and_then(|count| count.parse::<u64>().ok()).expect("a number of pages")
 }
 
+/// `python3` may lack NumPy.
+pub fn python_with_numpy() -> PathBuf {
+    let found = ["python3", "/usr/bin/python3"].iter().find_map(|name| {
+        let found = Command::new(name).args(["-c", "import sys, numpy; print(sys.executable)"]).output().ok()?;
+        let path = String::from_utf8(found.stdout).ok()?.trim().to_owned();
+        (found.status.success() && !path.is_empty()).then(|| path.into())
+    });
+    found.expect("a python3 with NumPy; tools/test.sh installs one")
+}
+
 #[track_caller]
 pub fn assert_succeeds(mut command: Command) -> String {
     let out = command.output().expect("bash");

@@ -16,7 +16,9 @@ use zipsplat::{
     types::{Fitting, Image, bounded_views, preprocess::fit, read_ply},
     weights::{Checkpoint, DepthCheckpoint, DepthHeads, Dtype},
 };
-use zipsplat_tests::{architectures, compare::assert_same, device::device as rust_device};
+use zipsplat_tests::{
+    architectures, compare::assert_same, device::device as rust_device, processes::python_with_numpy,
+};
 
 fn example(name: &str) -> PathBuf {
     root().join("engine/examples").join(name)
@@ -79,7 +81,7 @@ fn reconstruct_in_cpp() {
 
 #[test]
 fn reconstruct_in_python() {
-    let python = python_with_numpy().expect("a python3 with NumPy; tools/test.sh installs one");
+    let python = python_with_numpy();
     let run = || {
         let mut command = runner(&python);
         command.arg(example("reconstruct.py"));
@@ -110,15 +112,6 @@ fn assert_names_the_error(mut command: Command) {
     let failed = command.output().expect("the program runs");
     let message = String::from_utf8_lossy(&failed.stderr);
     assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
-}
-
-/// `python3` may lack NumPy.
-fn python_with_numpy() -> Option<PathBuf> {
-    ["python3", "/usr/bin/python3"].iter().find_map(|name| {
-        let found = Command::new(name).args(["-c", "import sys, numpy; print(sys.executable)"]).output().ok()?;
-        let path = String::from_utf8(found.stdout).ok()?.trim().to_owned();
-        (found.status.success() && !path.is_empty()).then(|| path.into())
-    })
 }
 
 fn portable_float_map(path: &Path) -> Vec<f32> {

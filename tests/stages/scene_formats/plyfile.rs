@@ -4,7 +4,7 @@ use super::scene;
 use std::path::Path;
 use std::process::Command;
 use zipsplat::types::{Origin, SaveOptions, World, read_points, write_ply, write_points};
-use zipsplat_tests::prelude::*;
+use zipsplat_tests::{prelude::*, processes::python_with_numpy};
 
 const VERSION: &str = "plyfile==1.1.5";
 /// Rewrites files as binary and as text.
@@ -23,11 +23,11 @@ for path in sys.argv[1:]:
 fn plyfile_reads_and_rewrites_ours() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let python = |args: &[&str], files: &[&Path]| {
-        Command::new("python3").args(args).args(files).env("PYTHONPATH", path("modules")).output()
+    let python = |program: &Path, args: &[&str], files: &[&Path]| {
+        Command::new(program).args(args).args(files).env("PYTHONPATH", path("modules")).output()
     };
     let install = ["-m", "pip", "install", "--quiet", "--no-deps", "--disable-pip-version-check", VERSION, "--target"];
-    let pip = python(&install, &[&path("modules")]);
+    let pip = python(Path::new("python3"), &install, &[&path("modules")]);
     if !pip.as_ref().is_ok_and(|pip| pip.status.success()) {
         println!("skipped: pip cannot install {VERSION}: {pip:?}");
         return;
@@ -40,7 +40,7 @@ fn plyfile_reads_and_rewrites_ours() {
     scene(3).save(path(names[2])).unwrap();
     write_points(path(names[3]), &[([1.0, -2.5, 1e-3], [0, 127, 255]), ([0.0, 3e5, -1.0], [1, 2, 3])]).unwrap();
     let files = names.map(path);
-    let run = python(&["-c", REWRITE], &files.each_ref().map(|file| file.as_path())).unwrap();
+    let run = python(&python_with_numpy(), &["-c", REWRITE], &files.each_ref().map(|file| file.as_path())).unwrap();
     assert!(run.status.success(), "{run:?}");
     for name in names {
         let [own, binary] = [name.into(), format!("{name}.binary")].map(|name| fs::read(path(&name)).unwrap());
