@@ -1,7 +1,8 @@
 use image::{DynamicImage, ImageFormat};
+use zipsplat::types::poses::CaptureView;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
-use zipsplat::types::{contact_sheet, tile_count, tiles};
+use zipsplat::types::{World, contact_sheet, tile_count, tiles};
 use zipsplat_cli::protocol::Filter;
 use zipsplat_tests::photos::with_orientation;
 use zipsplat_tests::prelude::*;
@@ -255,6 +256,13 @@ fn exif_orientations_are_applied() {
             _ => [w - y, x],
         };
         assert!((u - expected_u).abs() < 1e-9 && (v - expected_v).abs() < 1e-9, "orientation {orientation}: {u}, {v}");
+        assert_eq!(stored.clone().turned(Image::quarter_turns(file.path()).expect("a turn")), upright);
+        let photo = Some(file.path().to_owned());
+        let frame = CaptureView { name: "photo".into(), photo, camera: turned, lens: None };
+        let [x, y] = pixel(&frame.upright_camera());
+        assert!((pixel(&seen)[0] - x).abs() < 1e-9 && (pixel(&seen)[1] - y).abs() < 1e-9, "orientation {orientation}");
+        let up = World::of_cameras(&[&frame]).and_then(|world| world.up).expect("an up");
+        assert!(up.distance(-pose.rotation.y_axis) < 1e-9, "orientation {orientation}: {up}");
     }
     assert_eq!(open(&with_orientation(&jpeg, 77)).unwrap(), stored, "an unknown orientation is none");
 }

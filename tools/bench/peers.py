@@ -13,7 +13,7 @@ OpenSplat ignores principal points: its crops have eval's scale but are centered
 the few rows or columns that the photo lacks. Sides are multiples of 4, since training starts at a
 quarter of the size. By default it doubles the size after 3,000 and 6,000 steps. On one thread, 200
 steps measure its speed for the shortest time. Runs are repeated with corrected numbers of steps
-until one ends with at least 85 % of the CPU time. At the limit a run is killed; its last saved
+until one ends with at least 0.85 of the CPU time. At the limit a run is killed; its last saved
 scene counts if no run ends in time. For zipsplat's black background, build OpenSplat with zeros as
 backgroundColor in model.hpp.
 """

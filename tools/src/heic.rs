@@ -1,5 +1,6 @@
 use crate::{
     decode::{AS_PPM, decode, exif_of, input, read_ppm, save_jpeg, save_jpeg_of_focal},
+    photos::unique_stems,
     process,
     session::{Session, Stage},
 };
@@ -21,14 +22,11 @@ pub fn is_heic(path: &Path) -> bool {
 
 /// Converts to upright JPEGs in order: `IMG_1.HEIC` to `IMG_1.jpg`, duplicates to `IMG_1-1.jpg`.
 pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], folder: &Path) -> Result<Vec<PathBuf>> {
-    let numbered: Vec<(usize, &&PathBuf)> = pictures.iter().enumerate().collect();
+    let named: Vec<(String, &&PathBuf)> = unique_stems(pictures).into_iter().zip(pictures).collect();
     let (photos, _) = session.stage("read HEIC", |stage| {
-        stage.each(&numbered, |(i, picture)| {
+        stage.each(&named, |(stem, picture)| {
             let image = read(ffmpeg, picture, stage).map_err(|error| advised(picture, error))?;
-            let stem = picture.file_stem().unwrap_or_default();
-            let same = pictures[..*i].iter().filter(|other| other.file_stem() == Some(stem)).count();
-            let number = if same > 0 { format!("-{same}") } else { String::new() };
-            let photo = folder.join(format!("{}{number}.jpg", stem.to_string_lossy()));
+            let photo = folder.join(format!("{stem}.jpg"));
             match focal_length(picture) {
                 Some(focal) => save_jpeg_of_focal(&image, focal, &photo)?,
                 None => save_jpeg(&image, &photo)?,

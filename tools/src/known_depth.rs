@@ -182,9 +182,10 @@ fn read_file(file: &Path, photo: &Intrinsics, camera: &Intrinsics, unit: f64) ->
     Ok(sampled(&values, &photo.resized(width, height), camera, unit))
 }
 
-fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Result<()> {
-    let stretch = f64::from(width) * f64::from(photo.height) / (f64::from(height) * f64::from(photo.width));
-    if (stretch - 1.0).abs() <= 0.01 {
+/// The aspect ratio may differ by 1 %, or by a cell of a coarse grid.
+pub fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Result<()> {
+    let [across, down] = [(width, photo.height), (height, photo.width)].map(|(a, b)| f64::from(a) * f64::from(b));
+    if (across - down).abs() <= (0.01 * down).max(f64::from(photo.width.max(photo.height))) {
         return Ok(());
     }
     let expected = format!("the shape of its photo, {}x{}", photo.width, photo.height);

@@ -3,6 +3,7 @@
 use crate::{
     cameras::{Similarity, to_scene},
     depth::PredictorOptions,
+    known_depth::check_shape,
     npy,
     options::{ArithmeticOption, Network, Size, Weights},
     session::Session,
@@ -10,10 +11,12 @@ use crate::{
     views::Crop,
 };
 use clap::Args;
+use png::ColorType;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use sha2::{Digest, Sha256};
 use std::{
     collections::HashMap,
+    io::BufReader,
     path::{Path, PathBuf},
 };
 use zipsplat::{
@@ -21,7 +24,7 @@ use zipsplat::{
     features::{Features, Lifted, PixelValues},
     reconstruct::ReconstructOptions,
     types::{
-        Lens, World, named_after,
+        Intrinsics, Lens, World, named_after, open_file,
         poses::{Capture, CaptureView},
         write_atomic,
     },
@@ -57,15 +60,25 @@ pub fn values_file(folder: &Path, photo: &str, extensions: &[&str]) -> Option<Pa
     files.find(|file| file.is_file())
 }
 
-pub struct ValueFiles(Vec<(PathBuf, Camera, Option<Lens>)>);
+struct ValueFile {
+    path: PathBuf,
+    camera: Camera,
+    lens: Option<Lens>,
+    /// As stored.
+    photo: Intrinsics,
+}
+
+pub struct ValueFiles(Vec<ValueFile>);
 
 impl ValueFiles {
     pub fn find(session: &mut Session<'_>, folder: &Path, photos: &PosedPhotos, world: Option<&World>) -> Result<Self> {
         let (capture, to_scene) = photos.open(session, world)?;
         let mut files = Vec::new();
         for frame in &capture.frames {
-            let Some(file) = values_file(folder, &frame.name, &["npy", "png"]) else { continue };
-            files.push((file, fitted(&to_scene.apply(&frame.camera)), frame.lens));
+            let Some(path) = values_file(folder, &frame.name, &["npy", "png"]) else { continue };
+            let (camera, lens) = (fitted(&to_scene.apply(&frame.camera)), frame.lens);
+            let photo = lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);
+            files.push(ValueFile { path, camera, lens, photo });
         }
         if files.is_empty() {
             let expected = format!("NAME.npy or NAME.png for photos of {}", photos.cameras.display());
@@ -79,13 +92,14 @@ impl ValueFiles {
     }
 
     pub fn cameras(&self) -> Vec<Camera> {
-        self.0.iter().map(|(_, camera, _)| *camera).collect()
+        self.0.iter().map(|file| file.camera).collect()
     }
 
     /// Reads the values of a photo, without its lens's distortion: the nearest, or NaN outside.
     pub fn read(&self, i: usize, labels: Option<usize>) -> Result<PixelValues> {
-        let (path, _, lens) = &self.0[i];
+        let ValueFile { path, lens, photo, .. } = &self.0[i];
         let values = read_values(path, labels)?;
+        check_shape(path, [values.width, values.height], photo)?;
         let Some(lens) = lens else { return Ok(values) };
         let PixelValues { width, height, channels, values } = values;
         let (place, [columns, rows]) = (lens.places([width, height])?, lens.view_size([width, height]));
@@ -162,24 +176,43 @@ fn tokens_of(
     Ok((seen.cameras.into_iter().map(here).collect(), features.patch_tokens()?))
 }
 
-/// `[height, width, channels]` values, or a gray picture: a mask from 0 to 1, or a channel per
-/// label, where other values do not count.
+/// `[height, width, channels]` values, or a picture: a mask from 0 to 1, or a channel per label,
+/// where other values do not count.
 fn read_values(path: &Path, labels: Option<usize>) -> Result<PixelValues> {
     if path.extension().is_some_and(|ext| ext == "npy") {
         let ([height, width, channels], values) = npy::read_array(path, "height, width, channels")?;
         return Ok(PixelValues { width, height, channels: channels as usize, values });
     }
-    let picture = image::open(path).map_err(|error| Error::format(path, None, error.to_string()))?.into_luma8();
-    let (width, height) = picture.dimensions();
-    let value = |value: u8| match labels {
-        None => vec![f32::from(value) / 255.0],
-        Some(count) if usize::from(value) < count => {
-            (0..count).map(|label| f32::from(u8::from(label == usize::from(value)))).collect()
-        }
-        Some(count) => vec![f32::NAN; count],
+    let Some(count) = labels else {
+        let picture = image::open(path).map_err(|error| Error::format(path, None, error.to_string()))?.into_luma8();
+        let (width, height) = picture.dimensions();
+        let values = picture.into_raw().into_iter().map(|value| f32::from(value) / 255.0).collect();
+        return Ok(PixelValues { width, height, channels: 1, values });
     };
-    let values = picture.into_raw().into_iter().flat_map(value).collect();
-    Ok(PixelValues { width, height, channels: labels.unwrap_or(1), values })
+    let ([width, height], picture) = read_labels(path)?;
+    let channel = |label: usize, found: usize| if found < count { f32::from(u8::from(label == found)) } else { f32::NAN };
+    let values = picture.into_iter().flat_map(|found| (0..count).map(move |label| channel(label, found))).collect();
+    Ok(PixelValues { width, height, channels: count, values })
+}
+
+/// Gray levels or palette indices of a PNG, as stored.
+fn read_labels(path: &Path) -> Result<([u32; 2], Vec<usize>)> {
+    let malformed = |error: png::DecodingError| Error::format(path, None, error.to_string());
+    let mut decoder = png::Decoder::new(BufReader::new(open_file(path)?));
+    decoder.set_transformations(png::Transformations::IDENTITY);
+    let mut reader = decoder.read_info().map_err(malformed)?;
+    let (color, depth) = reader.output_color_type();
+    if !matches!(color, ColorType::Grayscale | ColorType::Indexed) {
+        return Err(Error::format(path, None, format!("found {color:?}, expected a gray or palette PNG of labels")));
+    }
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap_or(0)];
+    let png::OutputInfo { width, height, line_size, .. } = reader.next_frame(&mut bytes).map_err(malformed)?;
+    let label = |line: &[u8], x: usize| match depth as usize {
+        16 => usize::from(u16::from_be_bytes([line[2 * x], line[2 * x + 1]])),
+        bits => usize::from(line[x * bits / 8] >> (8 - bits - x * bits % 8)) & ((1 << bits) - 1),
+    };
+    let lines = bytes.chunks_exact(line_size).take(height as usize);
+    Ok(([width, height], lines.flat_map(|line| (0..width as usize).map(move |x| label(line, x))).collect()))
 }
 
 pub fn save(path: &Path, lifted: &Lifted, scene: &Scene) -> Result<()> {

@@ -1,6 +1,6 @@
 //! 360-degree photos without known cameras, cut into pinhole photos.
 
-use crate::{decode::save_jpeg_of_focal, masks::MaskArgs, outputs::make_folder, photos::names, session::Session};
+use crate::{decode::save_jpeg_of_focal, masks::MaskArgs, outputs::make_folder, photos::{names, unique_stems}, session::Session};
 use clap::ValueEnum;
 use std::{
     io::Read,
@@ -90,6 +90,7 @@ pub fn cut(
         let rgb = mask.iter().flat_map(|value| [*value; 3]).collect();
         Image::new(*width, *height, rgb)?.save_png(mask_folder.join(name))
     };
+    let stems = unique_stems(photos);
     let numbered: Vec<(usize, &PathBuf)> = photos.iter().enumerate().collect();
     let (written, _) = session.stage("cut photos", |stage| {
         stage.each(&numbered, |(i, photo)| {
@@ -100,9 +101,6 @@ pub fn cut(
             }
             let image = masks.as_ref().map_or_else(|| Image::open(photo), |masks| masks.open(photo, false))?;
             let lens = Lens::equirectangular(image.width, image.height, &photo.display().to_string())?;
-            let stem = photo.file_stem().unwrap_or_default();
-            let same = photos[..*i].iter().filter(|other| other.file_stem() == Some(stem)).count();
-            let number = if same > 0 { format!("-{same}") } else { String::new() };
             let focal = (FILM / 2.0 / (CUT_VIEW_DEG / 2.0).to_radians().tan()).round() as u16;
             let mut views = Vec::new();
             for view in 0..lens.view_count() {
@@ -110,7 +108,7 @@ pub fn cut(
                 if picture.mask.as_ref().is_some_and(|mask| mask.iter().all(|value| *value == 0)) {
                     continue;
                 }
-                let path = folder.join(format!("{}{number}-{view}.jpg", stem.to_string_lossy()));
+                let path = folder.join(format!("{}-{view}.jpg", stems[*i]));
                 save_jpeg_of_focal(&picture, focal, &path)?;
                 save_mask(&path, &picture)?;
                 views.push(path);

@@ -91,19 +91,22 @@ impl Reading {
         let heic: Vec<&PathBuf> = listed.iter().filter(|path| is_heic(path)).collect();
         let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
         let make = || named_in.map_or_else(FrameFolder::temporary, beside);
-        let needed = !heic.is_empty() || listed.iter().any(|path| is_video(path));
+        let videos: Vec<&PathBuf> = listed.iter().filter(|path| is_video(path)).collect();
+        let needed = !(heic.is_empty() && videos.is_empty());
         let mut folder = needed.then(make).transpose()?;
         let mut made = match (&heic[..], &folder) {
             ([_, ..], Some(folder)) => to_jpeg(session, &self.ffmpeg, &heic, folder.path())?,
             _ => Vec::new(),
         }
         .into_iter();
+        let mut stems = unique_stems(&videos).into_iter();
         let mut photos = Vec::new();
         for path in &listed {
             match &folder {
                 Some(folder) if is_video(path) => {
                     let count = frames.map_or(FRAMES, |frames| frames as usize);
-                    photos.extend(sharpest_frames(session, &self.ffmpeg, path, count, folder.path())?);
+                    let start = folder.path().join(stems.next().unwrap_or_default());
+                    photos.extend(sharpest_frames(session, &self.ffmpeg, path, count, &start)?);
                 }
                 Some(_) if is_heic(path) => photos.extend(made.next()),
                 _ => photos.push(path.clone()),
@@ -280,6 +283,17 @@ pub fn text(path: &Path) -> Result<&str> {
     path.to_str().ok_or_else(|| {
         Error::argument("name of a photo", format!("{path:?}"), "UTF-8, as files of cameras hold it: rename the photo")
     })
+}
+
+/// Stems of file names, numbered after the first of a name: `a`, `a-1`.
+pub fn unique_stems(files: &[impl AsRef<Path>]) -> Vec<String> {
+    let mut taken = HashSet::new();
+    let unique = |file: &Path| {
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+        let mut names = (0..).map(|n| if n == 0 { stem.to_string() } else { format!("{stem}-{n}") });
+        names.find(|name| taken.insert(name.clone())).expect("endless")
+    };
+    files.iter().map(AsRef::as_ref).map(unique).collect()
 }
 
 pub fn names(files: &[PathBuf]) -> String {

@@ -73,14 +73,14 @@ pub fn is_video(path: &Path) -> bool {
     extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
 }
 
-/// The sharpest frame of each of `count` equal parts, upright and in order, such as
-/// `clip-00042.jpg` by frame number.
+/// The sharpest frame of each of `count` equal parts, upright and in order, as `start-00042.jpg` by
+/// frame number.
 pub fn sharpest_frames(
     session: &mut Session<'_>,
     ffmpeg: &Path,
     video: &Path,
     count: usize,
-    folder: &Path,
+    start: &Path,
 ) -> Result<Vec<PathBuf>> {
     check(ffmpeg, "ffmpeg", "an installed ffmpeg, which reads videos (`apt install ffmpeg`; see --ffmpeg)")?;
     video.metadata().map_err(|source| Error::io(video, source))?;
@@ -95,7 +95,7 @@ pub fn sharpest_frames(
         let read = sharpness.len();
         session.note(format!("{}: ffmpeg reads {read} frames and finds the file damaged: {messages}", video.display()));
     }
-    let (photos, _) = session.stage("take frames", |stage| take(ffmpeg, video, &chosen, folder, stage))?;
+    let (photos, _) = session.stage("take frames", |stage| take(ffmpeg, video, &chosen, start, stage))?;
     Ok(photos)
 }
 
@@ -128,13 +128,8 @@ fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
     (0..count).filter_map(|i| part(i).rev().max_by(|a, b| sharpness[*a].total_cmp(&sharpness[*b]))).collect()
 }
 
-fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &Stage<'_>) -> Result<Vec<PathBuf>> {
+fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], start: &Path, stage: &Stage<'_>) -> Result<Vec<PathBuf>> {
     let filter = format!("select='{}',{REGULAR}", any_of(chosen));
-    let stem = video.file_stem().unwrap_or_default().to_string_lossy();
-    // Another video of this name has its frames there.
-    let is_taken = |stem: &str| (0..=chosen[chosen.len() - 1]).any(|i| folder.join(frame_name(stem, i)).exists());
-    let mut stems = (0..).map(|n| if n == 0 { stem.to_string() } else { format!("{stem}-{n}") });
-    let stem = stems.find(|stem| !is_taken(stem)).expect("endless");
     let mut photos = Vec::new();
     decode(
         ffmpeg,
@@ -144,7 +139,9 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
         read_ppm,
         |image| {
             let Some(frame) = chosen.get(photos.len()) else { return Ok(()) };
-            let path = folder.join(frame_name(&stem, *frame));
+            let mut path = start.as_os_str().to_owned();
+            path.push(format!("-{frame:05}.jpg"));
+            let path = PathBuf::from(path);
             save_jpeg(&image, &path)?;
             photos.push(path);
             stage.reach(photos.len() as f64 / chosen.len() as f64)
@@ -155,10 +152,6 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
         return Err(Error::format(video, None, reason));
     }
     Ok(photos)
-}
-
-fn frame_name(stem: &str, frame: usize) -> String {
-    format!("{stem}-{frame:05}.jpg")
 }
 
 /// Expression of ffmpeg that is not 0 for these frames. ffmpeg refuses sums of more than 100 terms

@@ -127,6 +127,17 @@ impl Camera {
         self.pose.view_matrix()
     }
 
+    /// Returns the camera of its picture turned clockwise by quarter turns.
+    pub fn turned(&self, quarters: u32) -> Self {
+        (0..quarters % 4).fold(*self, |Self { intrinsics: lens, pose }, _| {
+            let cx = f64::from(lens.height) - lens.cy;
+            let intrinsics =
+                Intrinsics { fx: lens.fy, fy: lens.fx, cx, cy: lens.cx, width: lens.height, height: lens.width };
+            let DMat3 { x_axis: right, y_axis: down, z_axis: forward } = pose.rotation;
+            Self { intrinsics, pose: Pose { rotation: DMat3::from_cols(-down, right, forward), ..pose } }
+        })
+    }
+
     /// Returns the camera after its world moved: x becomes `pose(scale x)`.
     pub fn placed(&self, scale: f64, pose: &Pose) -> Self {
         let translation = pose.transform(scale * self.pose.translation);

@@ -4,12 +4,11 @@ use std::fmt;
 use std::io::{Cursor, Read};
 use std::path::Path;
 
-use glam::{DMat3, DVec3};
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
 use image::metadata::Orientation;
 use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageReader, Limits};
 
-use super::camera::{Camera, Intrinsics, Pose};
+use super::camera::Camera;
 use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
@@ -93,23 +92,35 @@ impl Image {
     /// # Errors
     /// [`Error::Argument`] for mirrored photos.
     pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
-        let orientation = stored_size(path.as_ref())?.1;
-        let (lens, [right, down, forward]) =
-            (camera.intrinsics, camera.pose.rotation.to_cols_array_2d().map(DVec3::from));
-        let (width, height) = (f64::from(lens.width), f64::from(lens.height));
-        let swapped = Intrinsics { width: lens.height, height: lens.width, fx: lens.fy, fy: lens.fx, ..lens };
-        let (intrinsics, right, down) = match orientation {
-            Orientation::NoTransforms => (lens, right, down),
-            Orientation::Rotate90 => (Intrinsics { cx: lens.cy, cy: width - lens.cx, ..swapped }, down, -right),
-            Orientation::Rotate180 => (Intrinsics { cx: width - lens.cx, cy: height - lens.cy, ..lens }, -right, -down),
-            Orientation::Rotate270 => (Intrinsics { cx: height - lens.cy, cy: lens.cx, ..swapped }, -down, right),
+        Ok(camera.turned(4 - Self::quarter_turns(path)?))
+    }
+
+    /// Reads the clockwise quarter turns of the EXIF orientation.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for mirrored photos.
+    pub fn quarter_turns(path: impl AsRef<Path>) -> Result<u32> {
+        match stored_size(path.as_ref())?.1 {
+            Orientation::NoTransforms => Ok(0),
+            Orientation::Rotate90 => Ok(1),
+            Orientation::Rotate180 => Ok(2),
+            Orientation::Rotate270 => Ok(3),
             mirrored => {
                 let what = format!("EXIF orientation of {}", path.as_ref().display());
-                return Err(Error::argument(what, format!("{mirrored:?}"), "a turn, as cameras write it"));
+                Err(Error::argument(what, format!("{mirrored:?}"), "a turn, as cameras write it"))
             }
-        };
-        let rotation = DMat3::from_cols(right, down, forward);
-        Ok(Camera { intrinsics, pose: Pose { rotation, ..camera.pose } })
+        }
+    }
+
+    /// Turns the picture clockwise by quarter turns.
+    pub fn turned(self, quarters: u32) -> Self {
+        (0..quarters % 4).fold(self, |Self { width, height, rgb, mask }, _| {
+            let (w, h) = (width as usize, height as usize);
+            let place = |i: usize| (h - 1 - i % h) * w + i / h;
+            let rgb = (0..w * h).flat_map(|i| [0, 1, 2].map(|c| rgb[3 * place(i) + c])).collect();
+            let mask = mask.map(|mask| (0..w * h).map(|i| mask[place(i)]).collect());
+            Self { width: height, height: width, rgb, mask }
+        })
     }
 
     /// Writes a PNG atomically.
@@ -285,6 +296,13 @@ fn open_decoder(bytes: &[u8]) -> Decoded<(impl ImageDecoder + '_, Orientation)> 
 }
 
 fn stored_size(path: &Path) -> Result<((u32, u32), Orientation)> {
+    let mut start = Vec::new();
+    open_file(path)?.take(JPEG_HEADER).read_to_end(&mut start).map_err(|source| Error::io(path, source))?;
+    if start.starts_with(&JPEG_START)
+        && let Ok((decoder, orientation)) = open_decoder(&start)
+    {
+        return Ok((decoder.dimensions(), orientation));
+    }
     let bytes = read(path)?;
     let (decoder, orientation) = open_decoder(&bytes).map_err(|reason| Error::format(path, None, reason))?;
     Ok((decoder.dimensions(), orientation))
@@ -304,6 +322,8 @@ fn decode_bytes(bytes: &[u8]) -> Decoded<(DynamicImage, Orientation)> {
 }
 
 const JPEG_START: [u8; 2] = [0xff, 0xd8];
+/// First bytes that hold the size and EXIF of most JPEGs.
+const JPEG_HEADER: u64 = 1 << 18;
 const JPEG_SCAN: u8 = 0xda;
 const JPEG_END: [u8; 2] = [0xff, 0xd9];
 

@@ -59,9 +59,9 @@ impl World {
         let farthest = frames.iter().skip(1).max_by(|a, b| from_first(a).total_cmp(&from_first(b)));
         let landmarks = frames.first().into_iter().chain(farthest.filter(|frame| from_first(frame) > 0.0));
         let landmarks = landmarks.map(|frame| (frame.name.clone(), center(frame))).collect();
-        let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-        let up = mean_up(&cameras).ok().map(|up| to_world.rotation * up);
-        Self { origin, landmarks, lens: cameras.first().map(|camera| camera.intrinsics), up }
+        let upright: Vec<Camera> = frames.iter().map(|frame| frame.upright_camera()).collect();
+        let up = mean_up(&upright).ok().map(|up| to_world.rotation * up);
+        Self { origin, landmarks, lens: frames.first().map(|frame| frame.camera.intrinsics), up }
     }
 
     pub(super) fn line(world: Option<&Self>) -> String {

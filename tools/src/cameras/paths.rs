@@ -9,7 +9,8 @@ use std::{
 use zipsplat::{
     Error, Result,
     types::{
-        Camera, Dolly, Ellipse, Intrinsics, Orbit, Origin, Pose, Scene, Spline, World, mean_up, poses::Capture,
+        Camera, Dolly, Ellipse, Intrinsics, Orbit, Origin, Pose, Scene, Spline, World, mean_up,
+        poses::{Capture, CaptureView},
         preprocess::crop_to_aspect,
     },
 };
@@ -95,20 +96,28 @@ impl CameraArgs {
             return Err(Error::argument("--relative-to", found, "--orbit=PATH, whose cameras it places"));
         }
         let frames = self.frames as usize;
-        let mut lens = self.lens(world.and_then(|world| world.lens.as_ref()))?;
+        let (mut own, up) = (world.and_then(|world| world.lens), world.and_then(|world| world.up));
+        let mut lens = self.lens(own.as_ref())?;
         let (home, mut notes) = match (&self.orbit, world.map(|world| &world.origin)) {
             (Some(Some(file)), _) => {
                 let (cameras, notes) = self.of_file(file, world, &lens, true)?;
-                lens = self.lens(Some(&cameras[0].intrinsics))?;
+                own = Some(cameras[0].intrinsics);
                 (level(&Pose { translation: DVec3::ZERO, ..cameras[0].pose }, mean_up(&cameras)?), notes)
             }
             (_, Some(Origin::Cameras(first))) => (*first, Vec::new()),
             _ => (Pose::IDENTITY, Vec::new()),
         };
-        let home = match world.and_then(|world| world.up) {
+        let home = match up {
             Some(up) if matches!(self.orbit, Some(None)) => level(&home, up),
             _ => home,
         };
+        // A photo may be stored on its side.
+        let home = Camera { intrinsics: own.unwrap_or(lens), pose: home };
+        let is_up = |camera: &Camera| up.map_or(1.0, |up| -camera.pose.rotation.y_axis.dot(up));
+        let turned = (1..4).map(|turns| home.turned(turns));
+        let home = turned.fold(home, |best, next| if is_up(&next) > is_up(&best) { next } else { best });
+        lens = self.lens(own.map(|_| &home.intrinsics))?;
+        let home = home.pose;
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
         let path = if self.orbit.is_some() {
             let orbit = Orbit::around(&seen_from(scene, &home))?;
@@ -164,20 +173,22 @@ impl CameraArgs {
     }
 
     /// Reads a file's cameras, in the world of the requested photo, else of the scene's photo if
-    /// the file has it. Crops them to a requested size, or with `alike` to the first one's.
+    /// the file has it. Crops them to a requested size. `along` a path, cameras are upright and have
+    /// the first one's size.
     fn of_file(
         &self,
         path: &Path,
         world: Option<&World>,
         lens: &Intrinsics,
-        alike: bool,
+        along: bool,
     ) -> Result<(Vec<Camera>, Vec<String>)> {
         let mut poses = Capture::open_cameras(path, lens)?;
+        let seen = |frame: &CaptureView| if along { frame.upright_camera() } else { frame.camera };
         let Some(first) = poses.frames.first() else {
             let found = poses.warnings.first().map_or("none".into(), |why| format!("none: {why}"));
             return Err(Error::argument(format!("cameras of {}", path.display()), found, "at least one"));
         };
-        let size = self.size.or(alike.then(|| shown(&first.camera.intrinsics)));
+        let size = self.size.or(along.then(|| shown(&seen(first).intrinsics)));
         let (to_scene, note) = to_scene(self.relative_to.as_deref(), &poses, world, path)?;
         let camera = |camera: Camera| {
             let own = camera.intrinsics;
@@ -188,7 +199,7 @@ impl CameraArgs {
             };
             Ok(Camera { intrinsics, ..to_scene.apply(&camera) })
         };
-        let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect::<Result<_>>()?;
+        let cameras = poses.frames.iter().map(|frame| camera(seen(frame))).collect::<Result<_>>()?;
         poses.warnings.extend(note);
         Ok((cameras, poses.warnings))
     }

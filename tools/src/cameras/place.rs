@@ -115,7 +115,9 @@ impl ModelOption {
 
 pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {
     let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
-    let (folder, photo) = (whole(folder)?, whole(photo)?);
+    // The photo's own name, not that of a link's target.
+    let beside = photo.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let (folder, photo) = (whole(folder)?, whole(beside)?.join(photo.file_name().unwrap_or_default()));
     let path = photo.strip_prefix(folder).unwrap_or(&photo);
     Ok(text(path)?.replace('\\', "/"))
 }

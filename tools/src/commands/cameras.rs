@@ -73,7 +73,7 @@ impl Cameras {
         poses.warnings.iter().for_each(|note| session.note(note));
         let total: Duration = found.times.iter().map(|(_, took)| *took).sum();
         let json = json!({
-            "output": self.output, "photos": photos.len(), "registered": found.count, "unregistered": found.lost,
+            "output": self.output.to_string_lossy(), "photos": photos.len(), "registered": found.count, "unregistered": found.lost,
             "components": found.groups, "points": found.points, "attempts": found.mappings, "program": found.program, "seconds": total.as_secs_f64(), "stage_seconds": stage_seconds(&found.times),
         });
         let mut text = format!("{}: {}\n", self.output.display(), found.summary());

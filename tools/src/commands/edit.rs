@@ -145,7 +145,7 @@ impl Edit {
         }
         let written = size_of(&self.output)?;
         let json = json!({
-            "output": self.output, "gaussians": edited.len(), "input_gaussians": scene.len(), "dropped": dropped,
+            "output": self.output.to_string_lossy(), "gaussians": edited.len(), "input_gaussians": scene.len(), "dropped": dropped,
             "edits": reports, "bytes": written,
         });
         let mut table = Table::new(2, &["edit", "effect", "before", "after"]);
@@ -185,6 +185,6 @@ impl Edit {
         session.notes(&capture.warnings);
         let (to_scene, note) = to_scene(self.relative_to.as_deref(), &capture, world, path)?;
         session.notes(note);
-        Ok(capture.frames.iter().map(|frame| to_scene.apply(&frame.camera)).collect())
+        Ok(capture.frames.iter().map(|frame| to_scene.apply(&frame.upright_camera())).collect())
     }
 }

@@ -99,7 +99,7 @@ impl Lift {
         let seen = lifted.weights.iter().filter(|weight| **weight > 0.0).count();
         let photos = cameras.len();
         let json = json!({
-            "output": output, "rows": rows, "seen": seen, "channels": channels, "photos": photos,
+            "output": output.to_string_lossy(), "rows": rows, "seen": seen, "channels": channels, "photos": photos,
             "bytes": written,
         });
         let text = format!(

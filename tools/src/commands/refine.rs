@@ -199,7 +199,7 @@ impl Refine {
         let start = self.init().name();
         let count = refined.scene.len();
         let mut json = json!({
-            "output": self.output, "device": device, "photos": photos.len(), "gaussians": count,
+            "output": self.output.to_string_lossy(), "device": device, "photos": photos.len(), "gaussians": count,
             "refined": refinement::as_json(&refined, start, cameras),
         });
         let mut text = format!(

@@ -165,7 +165,7 @@ impl Render {
             let columns = pictures::sheet_columns(cameras.len());
             session.stage("contact sheet", |_| {
                 outputs::save_picture(&folder.join(SHEET), &contact_sheet(&drawn.small, columns)?)?;
-                outputs::remove_stale(folder, cameras.len(), outputs::is_own)
+                outputs::remove_stale(folder, cameras.len(), |path| path.extension().is_some_and(|ext| ext == "png") && outputs::is_own(path))
             })?;
         }
         let explanation = match cameras.first() {
@@ -253,12 +253,12 @@ impl Render {
         explanation: Option<Explanation>,
     ) -> Result<(serde_json::Value, String)> {
         let seconds = took.as_secs_f64();
+        let [output, video] = [&self.output, &self.video].map(|path| path.as_ref().map(|path| path.to_string_lossy()));
         let mut json = json!({
-            "output": self.output, "video": self.video, "device": device, "gaussians": gaussians, "dropped": dropped,
+            "output": output, "video": video, "device": device, "gaussians": gaussians, "dropped": dropped,
             "frames": cameras.len(), "seconds": seconds, "depth_levels_per_unit": self.depth.map(|_| DEPTH_LEVELS),
         });
-        let names: Vec<String> =
-            [&self.output, &self.video].into_iter().flatten().map(|path| path.display().to_string()).collect();
+        let names: Vec<_> = output.into_iter().chain(video).collect();
         let mut text = format!(
             "{}: {} of {} on {device}, {:.1} a second with writing\n",
             names.join(", "),

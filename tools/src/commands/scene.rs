@@ -111,7 +111,7 @@ impl Scene {
         })?;
         let seconds = took.as_secs_f64();
         let json = json!({
-            "output": folder, "seed": self.seed, "family": capture.family, "path": capture.path,
+            "output": folder.to_string_lossy(), "seed": self.seed, "family": capture.family, "path": capture.path,
             "views": self.views, "seconds": seconds,
         });
         let text = format!(
@@ -153,6 +153,6 @@ impl Scene {
         }
         let rate = count as f64 / started.elapsed().as_secs_f64();
         let text = format!("{}: {}, {rate:.1} a second", path.display(), counted(count as usize, "scene"));
-        session.report(&json!({"output": path, "scenes": count, "scenes_per_second": rate}), text)
+        session.report(&json!({"output": path.to_string_lossy(), "scenes": count, "scenes_per_second": rate}), text)
     }
 }

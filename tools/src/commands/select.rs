@@ -124,7 +124,7 @@ impl Select {
             }
         }
         let json = json!({
-            "output": self.output, "selected": selected.len(), "input_gaussians": scene.len(), "gaussians": kept.len(),
+            "output": self.output.to_string_lossy(), "selected": selected.len(), "input_gaussians": scene.len(), "gaussians": kept.len(),
         });
         let text = format!(
             "{}: {}, {} of {} selected",

@@ -290,7 +290,7 @@ impl View {
         let written = size_of(output)?;
         let gaussians: Vec<usize> = scenes.iter().map(Scene::len).collect();
         let json = json!({
-            "output": output, "gaussians": gaussians, "bytes": written, "photos": photos.0, "photo_bytes": photos.1,
+            "output": output.to_string_lossy(), "gaussians": gaussians, "bytes": written, "photos": photos.0, "photo_bytes": photos.1,
         });
         let all = counted(gaussians.iter().sum(), "Gaussian");
         let mut text = format!("{}: {all}, {}", output.display(), bytes(written));

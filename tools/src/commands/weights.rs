@@ -49,7 +49,7 @@ impl Weights {
             What::List(_) => list(session),
             What::Path(Where { name }) => {
                 let path = released::find(name)?.ok_or_else(|| unknown(name))?;
-                session.report(&json!({ "name": name, "path": path }), path.display())
+                session.report(&json!({ "name": name, "path": path.to_string_lossy() }), path.display())
             }
         }
     }
@@ -255,7 +255,7 @@ fn is_offline() -> bool {
 fn report(session: &mut Session<'_>, released: &Released, path: &Path) -> Result<()> {
     let Released { name, license, .. } = released;
     let size = size_of(path)?;
-    let json = json!({ "name": name, "path": path, "bytes": size, "license": license });
+    let json = json!({ "name": name, "path": path.to_string_lossy(), "bytes": size, "license": license });
     let kept = if released.kind == Kind::Tokens { ", f16" } else { "" };
     session.report(&json, format!("{}: {}{kept}; --weights {name} takes it", path.display(), bytes(size)))
 }
@@ -285,7 +285,7 @@ fn list(session: &mut Session<'_>) -> Result<()> {
         };
         table.row([(*name).into(), bytes(size), (*license).into(), place, (*what).into()]);
         rows.push(json!({
-            "name": name, "state": state, "bytes": size, "license": license, "path": cached, "what": what,
+            "name": name, "state": state, "bytes": size, "license": license, "path": cached.map(|path| path.display().to_string()), "what": what,
             "command": released.command(),
         }));
     }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Result,
     types::{
-        Intrinsics, Pose, World,
+        Camera, Image, Intrinsics, Pose, World,
         poses::{Capture, CaptureView},
         resample::resize_lanczos,
     },
@@ -17,7 +17,7 @@ const FOV: f64 = 60.0;
 pub const QUALITY: u8 = 90;
 pub const SMALL_QUALITY: u8 = 75;
 
-/// Lengths in pixels, camera-to-world, x right, y down, z forward.
+/// Of the upright photo. Lengths in pixels, camera-to-world, x right, y down, z forward.
 #[derive(Serialize)]
 pub struct InputCamera {
     name: String,
@@ -33,14 +33,19 @@ pub struct InputCamera {
     frame: CaptureView,
     #[serde(skip)]
     file: Option<PathBuf>,
+    /// Clockwise quarter turns that show the photo upright.
+    #[serde(skip)]
+    turns: u32,
 }
 
 impl InputCamera {
     pub fn new(frame: CaptureView, pose: &Pose, file: Option<PathBuf>) -> Self {
-        let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
+        let turns = file.as_ref().and_then(|file| Image::quarter_turns(file).ok()).unwrap_or(0);
+        let Camera { intrinsics, pose } = Camera { pose: *pose, ..frame.camera }.turned(turns);
+        let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
         let matrix = [0, 1, 2].map(|i| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]]);
-        Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: None, frame, file }
+        Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: None, frame, file, turns }
     }
 
     pub fn has_photo(&self) -> bool {
@@ -54,7 +59,7 @@ impl InputCamera {
     /// Undistorted, at most `side` pixels long; `None` without a photo.
     pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
-        let photo = self.frame.open(file)?;
+        let photo = self.frame.open(file)?.turned(self.turns);
         let longest = photo.width.max(photo.height);
         match side.filter(|side| *side < longest) {
             Some(side) => {
@@ -67,8 +72,7 @@ impl InputCamera {
     }
 }
 
-/// Reads cameras into the scene's world, with notes. Photos come from the camera file's folder or
-/// by name from `photos`; none with `without_photos`.
+/// Reads cameras into the scene's world, with notes.
 pub fn input_cameras(
     file: &Path,
     relative_to: Option<&Path>,

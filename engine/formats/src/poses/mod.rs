@@ -75,6 +75,17 @@ impl CaptureView {
         Ok(views.iter().enumerate().filter(|(i, _)| view.is_none_or(|view| view == *i)).map(frame).collect())
     }
 
+    /// Returns the clockwise quarter turns that show the photo upright by its EXIF orientation: none
+    /// without a photo or for mirrored ones.
+    pub fn quarter_turns(&self) -> u32 {
+        self.photo.as_ref().and_then(|photo| Image::quarter_turns(photo).ok()).unwrap_or(0)
+    }
+
+    /// Returns the camera of the upright photo.
+    pub fn upright_camera(&self) -> Camera {
+        self.camera.turned(self.quarter_turns())
+    }
+
     /// Returns whether this is a later view of a photo.
     pub fn is_later_view(&self) -> bool {
         self.lens.is_some_and(|lens| lens.view > 0)

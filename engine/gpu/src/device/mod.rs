@@ -1,8 +1,7 @@
 mod adopt;
 pub(crate) mod barrier;
-mod bfloat16;
 mod cache;
-mod cooperative_matrix2;
+mod extensions;
 pub(crate) mod failure;
 mod features;
 mod instance;
@@ -218,13 +217,13 @@ impl Shared {
         if i8 {
             enabled.enable(&BYTES);
         }
-        let mut bf16_features = bfloat16::Features::matrices();
+        let mut bf16_features = extensions::Bfloat16::matrices();
         if bf16 {
-            extensions.push(bfloat16::NAME.as_ptr());
+            extensions.push(extensions::BFLOAT16.as_ptr());
         }
-        let mut conversions = cooperative_matrix2::Features::conversions();
+        let mut conversions = extensions::CooperativeMatrix2::conversions();
         if limits.matrices.conversions {
-            extensions.push(cooperative_matrix2::NAME.as_ptr());
+            extensions.push(extensions::COOPERATIVE_MATRIX2.as_ptr());
         }
         let mut info = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)

@@ -1,5 +1,5 @@
 use super::{
-    bfloat16, cooperative_matrix2,
+    extensions,
     features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::{Limits, Matrices, MatrixShape},
@@ -81,8 +81,8 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     let mut offered = Features::default();
     let mut properties =
         vk::PhysicalDeviceProperties2::default().push_next(&mut v11).push_next(&mut v12).push_next(&mut v13);
-    let mut bf16 = bfloat16::Features::default();
-    let mut second = cooperative_matrix2::Features::default();
+    let mut bf16 = extensions::Bfloat16::default();
+    let mut second = extensions::CooperativeMatrix2::default();
     // SAFETY: a plain query on a live instance.
     let extensions = unsafe { instance.enumerate_device_extension_properties(device) }.unwrap_or_default();
     let has = |name| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
@@ -91,10 +91,10 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         .push_next(&mut offered.v12)
         .push_next(&mut offered.v13)
         .push_next(&mut offered.matrix);
-    if has(bfloat16::NAME) && knows(4, 313) {
+    if has(extensions::BFLOAT16) && knows(4, 313) {
         features = features.push_next(&mut bf16);
     }
-    if has(cooperative_matrix2::NAME) && knows(4, 304) {
+    if has(extensions::COOPERATIVE_MATRIX2) && knows(4, 304) {
         features = features.push_next(&mut second);
     }
     // SAFETY: plain queries on a live instance; structures unknown to an old device stay zero.
@@ -220,7 +220,7 @@ fn find_matrices(
     Matrices {
         f16: largest(f16, f32),
         f16_sums: largest(f16, f32) == largest(f16, f16),
-        bf16: largest(bfloat16::COMPONENT_TYPE, f32).filter(|_| offers.bf16),
+        bf16: largest(extensions::BFLOAT16_COMPONENT, f32).filter(|_| offers.bf16),
         i8: largest(Component::SINT8, i32).filter(|_| offers.i8),
         conversions: offers.conversions,
     }

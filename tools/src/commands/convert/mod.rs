@@ -103,7 +103,7 @@ impl Convert {
         let (notes, _) = session.stage("write scene", |_| save())?;
         session.notes(notes);
         let written = size_of(output)?;
-        let json = json!({ "output": output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
+        let json = json!({ "output": output.to_string_lossy(), "gaussians": scene.len(), "dropped": dropped, "bytes": written });
         let text = format!("{}: {}, {}", output.display(), counted(scene.len(), "Gaussian"), bytes(written));
         session.report(&json, text)
     }
@@ -141,7 +141,7 @@ fn report(
 ) -> Result<()> {
     let written = size_of(output)?;
     let json = json!({
-        "output": output, "architecture": architecture, "parameters": parameters, "dtype": dtype.name(), "bytes": written,
+        "output": output.to_string_lossy(), "architecture": architecture, "parameters": parameters, "dtype": dtype.name(), "bytes": written,
     });
     let (output, count) = (output.display(), HumanCount(parameters as u64));
     let text = format!("{output}: {name}, {count} parameters in {}, {}", dtype.name(), bytes(written));

@@ -7,7 +7,7 @@ use crate::{
     masks::MaskArgs,
     options::ArithmeticOption,
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
-    photos::{self, PhotoArgs},
+    photos::{self, PhotoArgs, unique_stems},
     released::open_depth,
     session::{Session, stage_seconds},
     table::{counted, time},
@@ -122,7 +122,7 @@ impl Depth {
         }
 
         make_folder(&self.output)?;
-        let names = names(&predicted.photos);
+        let names = unique_stems(&predicted.photos);
         let frames = known.map_or_else(|| predicted.frames(), |(frames, _)| Ok(frames))?;
         save_values(&self.output.join(VALUES), &predicted.depths, &names)?;
         let levels = self.save_pictures(&predicted.depths, &names)?;
@@ -152,7 +152,7 @@ impl Depth {
         let PredictedViews { depths, cameras, times, .. } = predicted;
         let total: Duration = times.iter().map(|(_, took)| *took).sum();
         let json = json!({
-            "output": self.output, "network": predicted.network, "views": depths.views.len(),
+            "output": self.output.to_string_lossy(), "network": predicted.network, "views": depths.views.len(),
             "width": depths.width, "height": depths.height, "depth_levels_per_unit": levels, "points": points,
             "has_cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes, "seconds": total.as_secs_f64(),
             "stage_seconds": stage_seconds(times),
@@ -167,7 +167,7 @@ impl Depth {
     }
 
     fn check(&self, files: &[PathBuf]) -> Result<()> {
-        let names = names(files);
+        let names = unique_stems(files);
         let pictures = names.iter().flat_map(|name| [picture(name, "depth"), picture(name, "colors")]);
         let all = pictures.chain([VALUES, CAMERAS, POINTS].map(String::from)).map(|name| self.output.join(name));
         check_folder(&self.output)?;
@@ -206,16 +206,6 @@ impl Depth {
         }
         Ok(levels)
     }
-}
-
-fn names(files: &[PathBuf]) -> Vec<String> {
-    let stem = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let stems: Vec<String> = files.iter().map(stem).collect();
-    let name = |(i, stem): (usize, &String)| match stems.iter().filter(|other| *other == stem).count() {
-        1 => stem.clone(),
-        _ => format!("{stem}-{}", i + 1),
-    };
-    stems.iter().enumerate().map(name).collect()
 }
 
 fn picture(name: &str, what: &str) -> String {

@@ -1,4 +1,4 @@
-use crate::{cameras::Similarity, depth::PredictedViews, npy};
+use crate::{cameras::Similarity, depth::PredictedViews, lifted::values_file, npy};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -35,9 +35,7 @@ impl Truth {
         for (i, photo) in predicted.photos.iter().enumerate() {
             let Some(frame) = self.poses.frame_of(photo)? else { continue };
             pairs.extend(frames.get(i).map(|ours| (ours.camera, frame.camera)));
-            let stem = Path::new(&frame.name).file_stem().unwrap_or_default();
-            let file = self.folder.join("depth").join(stem).with_extension("npy");
-            if file.is_file() {
+            if let Some(file) = values_file(&self.folder.join("depth"), &frame.name, &["npy"]) {
                 depths.push(ratios(&predicted.depths.views[i], &predicted.views[i].map, &npy::read(&file)?));
             }
         }

@@ -91,7 +91,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
             format!("\n{}", refinement::summary(refined, reconstruction.started, &capture.training_views().1))
         });
     let json = serde_json::json!({
-        "folder": folder, "weights": weights.provenance(), "precision": evaluator.precision.name(),
+        "folder": folder.to_string_lossy(), "weights": weights.provenance(), "precision": evaluator.precision.name(),
         "width": seeing.size.0, "height": seeing.size.1, "score_width": seeing.compared.0, "score_height": seeing.compared.1,
         "refined": refined.map(|refined| refinement::as_json(refined, reconstruction.started, &capture.training_views().1)),
         "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "scene_scale": capture.scene_scale.length, "scene_scale_source": capture.scene_scale.source,

@@ -233,7 +233,7 @@ fn report(
     let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
     let text = outputs::and_others(text, &others);
     let json = serde_json::json!({
-        "output": out, "protocol": rows::name_of(protocol), "evaluated": evaluated, "skipped": unchanged, "unknown": unknown,
+        "output": out.to_string_lossy(), "protocol": rows::name_of(protocol), "evaluated": evaluated, "skipped": unchanged, "unknown": unknown,
         "failed": failures.len(), "headings": means.headings, "means": means.lines, "scenes": rows,
     });
     session.report(&json, text)

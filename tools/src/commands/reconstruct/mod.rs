@@ -286,7 +286,7 @@ impl Reconstruct {
         let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
         let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
         let mut json = json!({
-            "output": self.output(), "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
+            "output": self.output().to_string_lossy(), "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
             "peak_bytes": peak_bytes, "seconds": total.as_secs_f64(), "stage_seconds": stages,
         });
         let of = match (&refined, &forward) {

@@ -96,7 +96,7 @@ impl<'a> Batch<'a> {
         let rate = finished as f64 / took.as_secs_f64();
         let left = works.len() - finished - unchanged - failures.len();
         let json = json!({
-            "output": output, "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
+            "output": output.to_string_lossy(), "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
             "remaining": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
         });
         let mut text = format!("{}: {} made in {}", output.display(), counted(finished, "scene"), time(took));
@@ -286,7 +286,7 @@ impl Runner<'_> {
             self.maker.make(self.batch, input, &stage.silent())?;
         let world = world.or(of_network);
         let mut record = json!({
-            "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos,
+            "generator": outputs::MADE_BY, "capture": work.folder.to_string_lossy(), "hash": hash, "photos": photos,
             "gaussians": scene.len(), "seconds": began.elapsed().as_secs_f64(),
         });
         fields.as_object().into_iter().flatten().for_each(|(name, value)| record[name] = value.clone());
