@@ -63,13 +63,14 @@ fn what_a_longer_run_left_is_removed() {
     };
     draw(5, "--depth --alpha");
     let mine = crate::photo(8, 6, 1);
+    std::fs::copy(folder.path("scene.ply"), folder.path("out/250.ply")).expect("copied");
     for name in ["003.png", "004.alpha.png", "0042.png", "notes.png"] {
         mine.save_png(folder.path("out").join(name)).expect("a photo can be written");
     }
     let left = draw(3, "--depth");
     let kept = ["000", "001", "002"].map(|n| [format!("{n}.alpha.png"), format!("{n}.depth.png"), format!("{n}.png")]);
     let mut expected: Vec<String> = kept.into_iter().flatten().collect();
-    expected.extend(["003.png", "004.alpha.png", "0042.png", "contact.png", "notes.png"].map(str::to_owned));
+    expected.extend(["003.png", "004.alpha.png", "0042.png", "250.ply", "contact.png", "notes.png"].map(str::to_owned));
     expected.sort();
     assert_eq!(left, expected);
     for name in ["003.png", "notes.png"] {

@@ -49,6 +49,23 @@ fn masks_and_clicks_select_an_object() {
     let lift = "lift @/scene.ply @/labels --labels 3 --cameras @/cameras.json -o @/labels.safetensors --json";
     let json = folder.run(lift).json();
     assert_eq!((&json["rows"], &json["channels"], &json["photos"]), (&200.into(), &3.into(), &2.into()));
+    // A palette's indices, of four bits, count; its colors do not.
+    let palette = std::fs::File::create(folder.path("labels/b.png")).expect("a file");
+    let mut encoder = png::Encoder::new(palette, SIZE, SIZE);
+    encoder.set_color(png::ColorType::Indexed);
+    encoder.set_depth(png::BitDepth::Four);
+    encoder.set_palette([0, 0, 0, 128, 0, 0, 0, 128, 0].as_slice());
+    let row = [[0x22; SIZE as usize / 4], [0x11; SIZE as usize / 4]].concat();
+    let mut writer = encoder.write_header().expect("written");
+    writer.write_image_data(&row.repeat(SIZE as usize)).expect("written");
+    drop(writer);
+    let of_gray = folder.read("labels.safetensors");
+    folder.run(lift).success();
+    assert!(folder.read("labels.safetensors") == of_gray, "labels of a palette");
+    image::RgbImage::new(SIZE, SIZE).save(folder.path("labels/b.png")).expect("a picture");
+    folder.run(lift).fails(3, &["b.png", "Rgb", "gray or palette"]);
+    image::GrayImage::new(SIZE / 2, SIZE).save(folder.path("labels/b.png")).expect("a picture");
+    folder.run(lift).fails(3, &["b.png", "32x64", "64x64"]);
     let features = "--features @/labels.safetensors";
     assert_eq!(selected(&format!("--at 16,32 --view b.png {features}")).means, scene.means[..100]);
     assert_eq!(selected(&format!("--at 48,32 --view a.png {features}")).means, scene.means[100..]);

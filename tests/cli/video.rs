@@ -50,6 +50,7 @@ fn videos_become_their_sharpest_frames() {
     assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
     folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);
     folder.run(&format!("{cameras} --overwrite")).success();
+    assert!(!folder.path("frames/clip-1-00001.jpg").exists(), "frames of the same video are replaced");
     folder.remove("scene.ply");
     folder.script("short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
     folder.script("says", &text("echo 'moov atom not found' >&2; exit 1", ""));

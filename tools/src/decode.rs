@@ -7,7 +7,7 @@ use std::{
     io::{self, BufRead, BufReader, Read},
     path::Path,
     process::{ChildStdout, Command, Stdio},
-    sync::mpsc::{RecvTimeoutError, channel},
+    sync::mpsc::{RecvTimeoutError, sync_channel},
 };
 use zipsplat::{
     Error, Result,
@@ -20,6 +20,8 @@ pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "r
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
 const QUALITY: u8 = 95;
 const MOST_LINES: usize = 3;
+/// Decoded pictures that wait: large ones fill the memory.
+const FRAMES_AHEAD: usize = 2;
 
 /// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns warnings.
 pub fn decode<T: Send + 'static>(
@@ -37,7 +39,7 @@ pub fn decode<T: Send + 'static>(
     let mut running = Running::start(&mut command).map_err(failed)?;
     let messages = running.0.stderr.take().map(listen);
     let Some(stdout) = running.0.stdout.take() else { return Ok(String::new()) };
-    let (send, items) = channel();
+    let (send, items) = sync_channel(FRAMES_AHEAD);
     std::thread::spawn(move || {
         let mut from = BufReader::new(stdout);
         while let Some(item) = read(&mut from).transpose() {

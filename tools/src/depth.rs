@@ -32,7 +32,7 @@ pub const POINTS: usize = 200_000;
 /// In messages.
 pub const DEPTH_WEIGHTS: &str = "weights of Depth Anything 3 or VGGT";
 
-#[derive(Args, Clone, Copy, Debug, Default)]
+#[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
 pub struct CamerasFrom {
     /// Source of the cameras that a depth network estimates
     #[arg(long, value_enum, value_name = "HOW", default_value = "decoder")]

@@ -190,7 +190,8 @@ fn read_values(path: &Path, labels: Option<usize>) -> Result<PixelValues> {
         return Ok(PixelValues { width, height, channels: 1, values });
     };
     let ([width, height], picture) = read_labels(path)?;
-    let channel = |label: usize, found: usize| if found < count { f32::from(u8::from(label == found)) } else { f32::NAN };
+    let channel =
+        |label: usize, found: usize| if found < count { f32::from(u8::from(label == found)) } else { f32::NAN };
     let values = picture.into_iter().flat_map(|found| (0..count).map(move |label| channel(label, found))).collect();
     Ok(PixelValues { width, height, channels: count, values })
 }

@@ -78,8 +78,11 @@ impl Overwrite {
         let mut files = files.into_iter();
         match files.find(|file| !self.overwrite && is_file(file.as_ref()) && !is_own(file.as_ref())) {
             Some(file) => {
-                let unknown = SceneFormat::of_extension(&file) == Some(SceneFormat::Splat);
-                let why = if unknown { " (a .splat does not say)" } else { "" };
+                let why = match SceneFormat::of_extension(&file) {
+                    Some(SceneFormat::Splat) => " (a .splat does not say)",
+                    Some(SceneFormat::Spz) => " (an SPZ 4 does not say)",
+                    _ => "",
+                };
                 let expected = format!("one that zipsplat wrote{why}, or none; another name, or --overwrite");
                 Err(Error::argument("file to replace", file.as_ref().display(), expected))
             }

@@ -1,6 +1,12 @@
 //! 360-degree photos without known cameras, cut into pinhole photos.
 
-use crate::{decode::save_jpeg_of_focal, masks::MaskArgs, outputs::make_folder, photos::{names, unique_stems}, session::Session};
+use crate::{
+    decode::save_jpeg_of_focal,
+    masks::MaskArgs,
+    outputs::make_folder,
+    photos::{names, unique_stems},
+    session::Session,
+};
 use clap::ValueEnum;
 use std::{
     io::Read,

@@ -22,7 +22,7 @@ class Edit {
         canvas.addEventListener("click", event => this.click(event));
         addEventListener("keydown", event => {
             const act = event.code === "Delete" ? "delete" : event.code === "KeyZ" && (event.ctrlKey || event.metaKey) && "undo";
-            if (!act || !this.shown) return;
+            if (!act || !this.shown || event.target.matches?.("input[type=number]")) return;
             event.preventDefault();
             this.ask(act);
         });
@@ -42,7 +42,10 @@ class Edit {
     enter() {
         const { scene } = this.page;
         element("save-scene").disabled = !this.ready || Boolean(this.saved);
-        if (!this.ready) return;
+        if (!this.ready) {
+            for (const act of ["keep", "delete", "undo"]) element(act).disabled = true;
+            return;
+        }
         if (scene !== this.scene) {
             element("kind").value = /\.spz$/i.test(scene.file?.name ?? scene.extension) ? "spz" : "ply";
             element("object").hidden = element("object").disabled = !scene.features;

@@ -32,7 +32,10 @@ class Page {
         this.refining = new Refining(this);
         this.edit = new Edit(this);
         this.buttons();
-        addEventListener("resize", () => this.change());
+        addEventListener("resize", () => {
+            if (!this.overlay.photo.hidden) this.through(this.input);
+            this.change();
+        });
         this.canvas.addEventListener("webglcontextlost", event => {
             event.preventDefault();
             this.say("The graphics driver stopped. Reload the page to go on.", true);
@@ -330,7 +333,7 @@ class Page {
             "path-button": [null, toggle("path")], "edit-button": ["KeyX", toggle("edit")],
         };
         const keys = {
-            KeyL: looks, Slash: toggle("help"), KeyK: () => (this.path.keep(), element("path").hidden = false), Space: () => this.path.play(),
+            KeyL: looks, Slash: toggle("help"), KeyK: () => (this.path.keep(), element("path").hidden && toggle("path")()), Space: () => this.path.play(),
             BracketLeft: () => this.choose(this.current - 1), BracketRight: () => this.choose(this.current + 1),
             Escape: toggle(null),
         };

@@ -227,8 +227,7 @@ impl FeatureRenderer {
     }
 
     fn load(&mut self, scene: &Scene) -> Result<DeviceScene> {
-        let capacity = self.plans.capacity.max(first_capacity(scene.len()));
-        self.plans = PlanCache::new(self.arena.device().limits(), capacity);
+        self.plans = PlanCache::new(self.arena.device().limits(), first_capacity(scene.len()));
         self.renderer.set_scene(scene)?;
         Ok(self.renderer.scene().expect("just set").clone())
     }

@@ -11,8 +11,10 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Device bytes of values beside the scene; more channels take several parts.
-const PART_BYTES: usize = 256 << 20;
+/// Least device bytes of values beside the scene, and part of the device's memory that they may
+/// take; more channels take several passes.
+const PART_BYTES: u64 = 256 << 20;
+const PART_OF_MEMORY: u64 = 8;
 
 #[derive(Clone, Copy, PartialEq)]
 pub(super) struct Job {
@@ -98,8 +100,9 @@ impl Part {
         let mut layout = ResidentLayout::new(device.limits());
         let tensors = PartTensors::lay_out(&mut layout, rows, vectors);
         let part = Self { resident: Arc::new(Resident::new(device, &layout)?), tensors };
-        let zero = |tensor: &Tensor| part.resident.write(*tensor, &vec![0u8; tensor.bytes() as usize]);
-        part.tensors.features.iter().chain([&part.tensors.totals]).try_for_each(zero)?;
+        let mut rec = Recorder::new(device.limits());
+        part.tensors.features.iter().chain([&part.tensors.totals]).for_each(|tensor| rec.fill(*tensor, 0));
+        Run::with_resident(device, rec.finish()?, [part.resident.clone()])?.execute()?;
         Ok(part)
     }
 }
@@ -113,8 +116,8 @@ impl PartTensors {
 
 /// Vectors of `rows` in a part.
 pub(super) fn vectors_at_once(limits: &Limits, rows: usize) -> usize {
-    let bytes = PART_BYTES.min(limits.max_binding_bytes as usize);
-    (bytes / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)
+    let bytes = PART_BYTES.max(limits.memory_bytes / PART_OF_MEMORY).min(limits.max_binding_bytes);
+    (bytes as usize / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)
 }
 
 pub(super) fn job(scene: &Scene, group: usize) -> Job {

@@ -50,10 +50,13 @@ impl Lifted {
     /// mean, and that such nearest neighbors connect with a seed.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the features are another scene's, or no seed has any.
+    /// [`Error::Argument`] if the features are another scene's, or no seed has any or is in it.
     pub fn select(&self, scene: &Scene, seeds: &[usize], least: f32) -> Result<Vec<usize>> {
         self.features.validate(scene)?;
         let Features { values, channels, group } = &self.features;
+        if let Some(seed) = seeds.iter().find(|seed| **seed >= scene.len()) {
+            return Err(Error::argument("seed", seed, format!("one of {} Gaussians", scene.len())));
+        }
         let row = |i: usize| &values[i / group * channels..][..*channels];
         let dot = |a: &[f32], b: &[f32]| zip(a, b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
         let mut mean = vec![0.0; *channels];

@@ -51,7 +51,7 @@ impl Block {
         let head_norm = |p: &mut ParameterLayout, n| p.norm(&format!("{name}.attn.{n}_norm"), heads.dim, QK_NORM_EPS);
         Self {
             heads,
-            attention: p.attention(),
+            attention: p.attention(heads),
             norm1: p.norm(&format!("{name}.norm1"), width, eps),
             qkv: p.block_linear(&format!("{name}.attn.qkv"), width, 3 * width),
             qk_norm: qk_norm.then(|| ["q", "k"].map(|n| head_norm(p, n))),

@@ -26,7 +26,7 @@ impl CrossBlock {
         let width = heads.width();
         Self {
             heads,
-            attention: p.attention(),
+            attention: p.attention(heads),
             norm_q: p.norm(&format!("{name}.norm_q"), width, eps),
             norm_kv: p.norm(&format!("{name}.norm_kv"), width, eps),
             q_proj: p.block_linear(&format!("{name}.attn.q_proj"), width, width),

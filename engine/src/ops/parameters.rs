@@ -1,5 +1,5 @@
 use super::{
-    Arithmetic, AttentionKernel, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
+    Arithmetic, AttentionKernel, Heads, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Tile, Weights,
     packing::{Order, Packing, packed_bytes},
     rows::SLICE,
 };
@@ -85,9 +85,11 @@ impl ParameterLayout {
         declared
     }
 
-    pub fn attention(&self) -> AttentionKernel {
+    pub fn attention(&self, heads: Heads) -> AttentionKernel {
         match self.arithmetic {
-            Arithmetic { attention: Some(units), .. } => AttentionKernel::Matrix(units),
+            Arithmetic { attention: Some(units), .. } if heads.dim <= Tile::MOST_CHANNELS => {
+                AttentionKernel::Matrix(units)
+            }
             Arithmetic { element, .. } => AttentionKernel::Lanes(element),
         }
     }

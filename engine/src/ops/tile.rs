@@ -73,6 +73,8 @@ pub(super) fn choose<T: Copy>(
 impl Tile {
     /// Head channels in attention tuning, as in every DA3 network.
     pub const TUNED_CHANNELS: usize = 64;
+    /// Widest heads of attention on matrix units: 16 queries stay in registers.
+    pub const MOST_CHANNELS: usize = 2 * Self::TUNED_CHANNELS;
 
     /// Candidates: three defaults on GPUs, larger first.
     pub fn linear(limits: &Limits, units: Units) -> Vec<Self> {

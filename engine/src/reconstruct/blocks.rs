@@ -1,6 +1,9 @@
 //! Reconstruction in passes over overlapping blocks of views, joined in one world.
 
-use super::{MAX_PHOTOS, MAX_VIEWS, Model, Patches, ReconstructOptions, Reconstruction, Shape, TokenSelection};
+use super::{
+    MAX_PHOTOS, MAX_VIEWS, Model, Patches, ReconstructOptions, Reconstruction, Shape, TokenSelection,
+    options::check_cameras,
+};
 use crate::{
     Error, Result,
     gpu::{Limits, Profile, Progress, ResidentLayout, StageTimes},
@@ -74,12 +77,12 @@ impl BlockLayout {
         if !(1..=MAX_VIEWS).contains(&size) && views > 0 {
             return Err(Error::argument("block size", size, format!("1 to {MAX_VIEWS} views")));
         }
+        if views <= size {
+            return Ok(Self { views, count: 1, size: views, overlap: 0 });
+        }
         let overlap = overlap.unwrap_or((size / 4).max(size.min(2) / 2));
         if overlap > 0 && overlap >= size {
             return Err(Error::argument("block overlap", overlap, format!("less than the block size, {size}")));
-        }
-        if views <= size {
-            return Ok(Self { views, count: 1, size: views, overlap: 0 });
         }
         Ok(Self { views, count: (views - overlap).div_ceil(size - overlap), size, overlap })
     }
@@ -209,7 +212,10 @@ impl Model {
     /// [`Error::Argument`] for invalid options.
     pub fn block_layout(&self, views: usize, size: [u32; 2], options: &ReconstructOptions) -> Result<BlockLayout> {
         let chosen = (options.ratio, &options.token_selection);
-        self.network.block_layout(self.device.limits(), views, options.blocks, |views| {
+        let mut limits = self.device.limits().clone();
+        let own = self.network.weight_bytes() + self.arena.bytes();
+        limits.memory_bytes -= self.device.allocated_bytes().saturating_sub(own).min(limits.memory_bytes);
+        self.network.block_layout(&limits, views, options.blocks, |views| {
             Shape::new(self.architecture(), views, size, chosen, options.cameras.is_some())?.pooled(options.kv_pool)
         })
     }
@@ -233,6 +239,7 @@ impl Model {
         if let TokenSelection::Given(_) = options.token_selection {
             return Err(Error::argument("token selection", "given tokens", "another selection, or one block of views"));
         }
+        options.cameras.as_deref().map_or(Ok(()), |cameras| check_cameras(cameras, images))?;
         let mut joined = Joined::default();
         for (i, block) in blocks.iter().enumerate() {
             let views: Vec<Image> = block.views.iter().map(|view| images[*view].clone()).collect();

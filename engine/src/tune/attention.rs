@@ -10,9 +10,6 @@ pub(super) struct Attentions;
 /// Unit roundoffs, for rounded queries, weights and results.
 const LIMIT: f64 = 40.0;
 
-/// Widest heads, which take the most shared memory.
-const WIDEST_HEAD: usize = 128;
-
 impl Operation for Attentions {
     fn name(&self) -> &'static str {
         "attention"
@@ -27,7 +24,7 @@ impl Operation for Attentions {
     }
 
     fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile> {
-        let fits_all = !Tile::attention(limits, units, WIDEST_HEAD).is_empty();
+        let fits_all = !Tile::attention(limits, units, Tile::MOST_CHANNELS).is_empty();
         if fits_all { Tile::attention(limits, units, Tile::TUNED_CHANNELS) } else { Vec::new() }
     }
 

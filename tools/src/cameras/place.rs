@@ -95,6 +95,13 @@ impl ModelOption {
         overwrite.check_replaced(colmap_files(folder))
     }
 
+    pub fn check_names(&self, photos: &[PathBuf]) -> Result<()> {
+        let names = photos.iter().map(|photo| photo.file_name().unwrap_or_default().to_string_lossy());
+        let spaced = names.filter(|name| name.contains(char::is_whitespace)).find(|_| self.colmap_model.is_some());
+        let refused = |name| Err(Error::argument("name of a photo for COLMAP", name, "one without spaces"));
+        spaced.map_or(Ok(()), refused)
+    }
+
     pub fn save(&self, frames: &[CaptureView], points: Option<&Path>) -> Result<()> {
         let Some(folder) = &self.colmap_model else { return Ok(()) };
         let photos = frames.iter().map(|frame| frame.photo.as_deref().unwrap_or(Path::new(&frame.name)));

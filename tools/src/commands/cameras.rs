@@ -60,16 +60,19 @@ impl Cameras {
         let place = Place(&self.output);
         place.check(self.overwrite)?;
         self.model.check(self.overwrite)?;
-        let unused = self.method == Finder::Colmap && self.weights.is_some();
-        refuse("--weights", unused, "COLMAP, which needs none", "--method da3 or vggt")?;
+        let (is_colmap, why) = (self.method == Finder::Colmap, "--method da3 or vggt");
+        refuse("--weights", is_colmap && self.weights.is_some(), "COLMAP, which needs none", why)?;
+        let of_network = self.cameras != CamerasFrom::default();
+        refuse("--camera-source or --per-view-focal", is_colmap && of_network, "COLMAP", why)?;
         let named_in = Some((&*self.output, self.overwrite));
         let (photos, mut frames) = self.input.list(session, self.views, Some(&self.search.masks), named_in)?;
+        self.model.check_names(&photos)?;
         let (search, depth_weights) = (self.search.clone(), self.weights.clone());
         let finding = Finding { search, cameras: self.cameras, depth_weights };
         let (poses, found) = self.method.find(session, &photos, &finding)?;
         place.save(&poses, &found)?;
-        self.model.save(&poses.frames, poses.points.as_deref())?;
         frames.iter_mut().for_each(FrameFolder::keep);
+        self.model.save(&poses.frames, poses.points.as_deref())?;
         poses.warnings.iter().for_each(|note| session.note(note));
         let total: Duration = found.times.iter().map(|(_, took)| *took).sum();
         let json = json!({

@@ -1,6 +1,6 @@
 use crate::{
     lifted::{self, PosedPhotos, ValueFiles},
-    options::{SceneInput, Weights},
+    options::{SceneInput, Weights, refuse},
     outputs::{Overwrite, size_of},
     session::Session,
     table::{bytes, counted},
@@ -75,6 +75,7 @@ impl Lift {
         let labels = self.labels.map(usize::from);
         let (cameras, values): (_, Box<dyn Fn(usize) -> Result<PixelValues>>) = match &self.values {
             Some(folder) => {
+                refuse("--weights", !self.weights.is_builtin(), "a folder of values", "a network's features")?;
                 let files = ValueFiles::find(session, folder, &self.photos, world.as_ref())?;
                 (files.cameras(), Box::new(move |i| files.read(i, labels)))
             }

@@ -1,4 +1,4 @@
-use super::descriptors::Descriptors;
+use super::{descriptors::Descriptors, schedule::Cursor};
 use crate::{Error, Resident, Result, Run, plan::Role};
 use std::sync::Arc;
 
@@ -48,6 +48,7 @@ impl Run {
     }
 
     pub(super) fn discard_batches(&mut self) {
+        self.encoded = Cursor::default();
         let commands: Vec<_> = self.batches.drain(..).map(|b| b.commands).collect();
         if !commands.is_empty() {
             // SAFETY: the caller waited for the submissions.

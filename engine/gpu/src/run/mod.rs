@@ -69,6 +69,8 @@ pub struct Run {
     pool: vk::CommandPool,
     signalled: u64,
     batches: Vec<Batch>,
+    /// End of the batches.
+    encoded: Cursor,
     written: Vec<bool>,
     in_flight: bool,
     presenting: Option<vk::CommandBuffer>,
@@ -117,6 +119,9 @@ impl Run {
     }
 
     fn in_lane(device: &Device, lane: Arc<Lane>, mut plan: Plan, residents: Vec<Arc<Resident>>) -> Result<Self> {
+        if residents.iter().any(|resident| !resident.is_on(device)) {
+            return Err(Error::argument("memory of a run", "another device's", "this device's"));
+        }
         if device.0.instance.debug.is_some() {
             plan.poison();
         }
@@ -146,6 +151,7 @@ impl Run {
             pool,
             signalled: 0,
             batches: Vec::new(),
+            encoded: Cursor::default(),
             written,
             in_flight: false,
             presenting: None,
@@ -227,17 +233,14 @@ impl Run {
 
     fn submit_all(&mut self, progress: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         let total: u64 = self.plan.commands.iter().map(Command::cost).sum();
-        let commands = self.plan.commands.len();
-        let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         let mut clock = Clock { times: StageTimes::default(), last: Instant::now(), done: 0 };
         let mut in_flight = VecDeque::new();
         if let Some(upload) = self.staging.as_ref().map(|staging| staging.upload) {
             self.submit(upload)?;
         }
         for index in 0.. {
-            if index == self.batches.len() && cursor.command < commands {
-                let batch = self.encode(&mut cursor)?;
-                self.batches.push(batch);
+            if index == self.batches.len() {
+                self.encode_next()?;
             }
             let Some(batch) = self.batches.get(index) else { break };
             let (buffer, first) = (batch.commands, batch.first_command);
@@ -272,15 +275,22 @@ impl Run {
     }
 
     fn encode_all(&mut self) -> Result<()> {
-        let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
-        while cursor.command < self.plan.commands.len() {
-            match self.encode(&mut cursor) {
-                Ok(batch) => self.batches.push(batch),
-                Err(error) => {
-                    self.discard_batches();
-                    return Err(error);
-                }
+        while self.encoded.command < self.plan.commands.len() {
+            if let Err(error) = self.encode_next() {
+                self.discard_batches();
+                return Err(error);
             }
+        }
+        Ok(())
+    }
+
+    /// Encodes a further batch, if any.
+    fn encode_next(&mut self) -> Result<()> {
+        if self.encoded.command < self.plan.commands.len() {
+            let mut cursor = self.encoded;
+            let batch = self.encode(&mut cursor)?;
+            self.batches.push(batch);
+            self.encoded = cursor;
         }
         Ok(())
     }

@@ -68,10 +68,6 @@ impl Command {
 }
 
 impl Cursor {
-    pub fn at_end(plan: &Plan) -> Self {
-        Self { command: plan.commands.len(), done: 0 }
-    }
-
     pub fn next_pieces(&mut self, plan: &Plan, budget: u64) -> (Vec<Piece>, u64) {
         let (first, mut pieces, mut cost) = (self.command, Vec::new(), 0);
         while cost < budget && pieces.len() < MAX_PIECES {

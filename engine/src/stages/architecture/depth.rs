@@ -130,10 +130,9 @@ impl DepthArchitecture {
         expect((1..=MAX_DEPTH).contains(&b.depth), "depth", b.depth.to_string(), "1 to 256")?;
         let heads = b.heads > 0 && b.width.is_multiple_of(b.heads) && b.head_dim().is_multiple_of(4);
         expect(heads, "heads", b.heads.to_string(), "a divisor of the width into heads of whole quads")?;
-        let sizes = [("ffn_hidden", b.ffn_hidden, MAX_SIZE), ("position_grid", b.position_grid, 1024)];
-        for (field, found, most) in sizes {
-            expect((1..=most).contains(&found), field, found.to_string(), &format!("1 to {most}"))?;
-        }
+        let is_whole = |size: usize| size.is_multiple_of(8) && (8..=MAX_SIZE).contains(&size);
+        expect(is_whole(b.ffn_hidden), "ffn_hidden", b.ffn_hidden.to_string(), "a multiple of 8 up to 65536")?;
+        expect((1..=1024).contains(&b.position_grid), "position_grid", b.position_grid.to_string(), "1 to 1024")?;
         expect(
             b.patch_size.is_multiple_of(2) && (2..=256).contains(&b.patch_size),
             "patch",
@@ -154,8 +153,8 @@ impl DepthArchitecture {
         if let Some(c) = &self.camera_head {
             let width = self.feature_width();
             let whole = c.heads > 0 && width.is_multiple_of(4 * c.heads) && (1..=MAX_DEPTH).contains(&c.depth);
-            let hidden = [c.hidden, c.pose_hidden].iter().all(|size| (1..=MAX_SIZE).contains(size));
-            expect(whole && hidden, "camera_head", format!("{c:?}"), "sizes above 0, and heads of whole quads")?;
+            let hidden = is_whole(c.hidden) && is_whole(c.pose_hidden);
+            expect(whole && hidden, "camera_head", format!("{c:?}"), "multiples of 8, and heads of whole quads")?;
         }
         let quads = |size: usize, of: usize| size.is_multiple_of(of) && (of..=MAX_SIZE).contains(&size);
         let of = if self.gaussians { 32 } else { 8 };

@@ -191,7 +191,15 @@ impl Architecture {
         ];
         let used = |field: &str| self.takes_cameras() || !field.starts_with("camera_");
         for (field, found, max) in sizes.into_iter().filter(|(field, ..)| used(field)) {
-            self.expect((1..=max).contains(&found), field, found, format!("1 to {max}"))?;
+            // Whole vectors of 16 bytes in rows of 16-bit values.
+            let of = if max == MAX_SIZE && !field.ends_with("heads") { 8 } else { 1 };
+            let fits = (1..=max).contains(&found) && found.is_multiple_of(of);
+            self.expect(
+                fits,
+                field,
+                found,
+                if of == 1 { format!("1 to {max}") } else { format!("a multiple of {of} up to {max}") },
+            )?;
         }
         let heads = [
             ("heads", self.heads, self.width),

@@ -25,7 +25,7 @@ pub struct Gradients {
 
 pub const CAMERA_NUMBERS: usize = 10;
 pub(super) const PAIR_NUMBERS: usize = 10;
-const PART: usize = 64;
+const PART: usize = 128;
 const BAND: usize = 64;
 const FLOPS: u64 = 60;
 

@@ -36,10 +36,6 @@ impl<K: PartialEq, P> PlanCache<K, P> {
         Self { most, ..self }
     }
 
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
-    }
-
     pub fn clear(&mut self) {
         self.entries.clear();
     }
@@ -128,7 +124,7 @@ mod tests {
         let mut cache = cache(10);
         assert_eq!(*cache.get(key(2, 0), Ok).unwrap(), 20);
         assert!(cache.fitting(20).unwrap().is_some());
-        assert!(cache.fitting(21).unwrap().is_none() && cache.is_empty());
+        assert!(cache.fitting(21).unwrap().is_none() && cache.entries.is_empty());
         assert_eq!((cache.capacity, *cache.get(key(2, 0), Ok).unwrap()), (13, 26));
         assert!(cache.fitting(1000).unwrap().is_none());
         assert_eq!(*cache.get(key(2, 0), Ok).unwrap(), 1000);

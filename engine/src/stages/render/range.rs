@@ -15,6 +15,12 @@ pub(super) fn check(cameras: &[Camera], options: &RenderOptions) -> Result<()> {
         let expected = "one of rgb, alpha, depth, normals and token colors";
         return Err(Error::argument("render options", "no output", expected));
     }
+    if let Some(near) = options.near.filter(|near| !(near.is_finite() && *near > 0.0)) {
+        return Err(Error::argument("near plane", near, "a positive distance"));
+    }
+    if options.background.iter().any(|value| !value.is_finite()) {
+        return Err(Error::argument("background", format!("{:?}", options.background), "finite values"));
+    }
     for (i, camera) in cameras.iter().enumerate() {
         check_camera(i, camera)?;
     }

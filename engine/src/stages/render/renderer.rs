@@ -183,7 +183,7 @@ impl Renderer {
         check(std::slice::from_ref(camera), &options)?;
         let _claim = self.claim();
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_batch(&[camera_rows(camera)], (width, height), &options, 0)?;
+        self.render_alike(&[camera_rows(camera)], (width, height), &options)?;
         let plan = self.plan(FrameShape { cameras: 1, width, height }, &options, 0)?;
         plan.run.present(plan.outputs.pixels, target)
     }
@@ -208,15 +208,18 @@ impl Renderer {
     ) -> Result<Vec<RenderOutput>> {
         let bytes_each = [12 * self.gaussians(), 4 * options.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
-        let mut frames = Vec::with_capacity(cameras.len());
-        let mut others = !self.plans.is_empty();
-        while frames.len() < cameras.len() {
-            let left = &cameras[frames.len()..];
-            let batch_size = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
-            match self.render_batch(batch_size, size, options, 0) {
-                Ok(drawn) => frames.extend(drawn),
-                Err(Error::Memory { .. }) if batch_size.len() > 1 => {
-                    self.cameras_at_once = batch_size.len() / 2;
+        let most = bindable.clamp(1, self.limits().max_groups[2] as usize);
+        let (mut frames, mut left) = (Vec::with_capacity(cameras.len()), cameras);
+        let mut others = true;
+        while !left.is_empty() {
+            let (batch, behind) = left.split_at(left.len().min(self.cameras_at_once).min(most));
+            match self.render_batch(batch, size, options, 0) {
+                Ok(drawn) => {
+                    frames.extend(drawn);
+                    left = behind;
+                }
+                Err(Error::Memory { .. }) if batch.len() > 1 => {
+                    self.cameras_at_once = batch.len() / 2;
                     self.plans.capacity = 0;
                 }
                 Err(Error::Memory { .. }) if others => {
@@ -261,6 +264,7 @@ impl Renderer {
 
     fn forget_plans(&mut self) {
         self.plans.clear();
+        self.plans.capacity = 0;
         self.cameras_at_once = usize::MAX;
     }
 
@@ -279,6 +283,7 @@ impl Renderer {
 
     pub(super) fn start_over(&mut self) -> Result<()> {
         self.plans.clear();
+        self.plans.capacity = 0;
         self.arena.release()
     }
 

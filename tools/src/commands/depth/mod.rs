@@ -109,6 +109,7 @@ impl Depth {
         let files = photos::spread(files, self.views.filter(|_| unposed.is_none()));
         let known = self.known(&files)?;
         self.check(&files)?;
+        self.model.check_names(&files)?;
         let truth = self.ground_truth.as_deref().map(Truth::open).transpose()?;
         let request = DepthOptions { reference_view: self.reference_view, ..Default::default() };
         let of_network = PredictorOptions::of(&checkpoint, &self.arithmetic);

@@ -108,6 +108,13 @@ impl ExternalScene {
         found.map(Some).ok_or_else(|| Error::argument("--scene", path.display(), expected))
     }
 
+    /// Files and folders that decide the result.
+    pub fn inputs(&self, name: &str) -> Result<Vec<PathBuf>> {
+        let cameras = self.scene_cameras.as_ref().map(|path| self.cameras(path, Some(name))).transpose()?;
+        let depth = self.from_depth.as_ref().map(|folder| folder.join(name));
+        Ok(self.file(Some(name))?.into_iter().chain(cameras).chain(depth).collect())
+    }
+
     fn read(
         &self,
         session: &mut Session<'_>,

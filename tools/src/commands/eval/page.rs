@@ -1,5 +1,6 @@
 use super::rows::{Means, Row};
 use crate::html;
+use std::path::PathBuf;
 use zipsplat::{Result, types::Image};
 
 const SHOWN: usize = 24;
@@ -29,7 +30,7 @@ pub fn page(means: &Means, rows: &[Row]) -> Result<String> {
         }
         for scene in scenes.into_iter().take(SHOWN) {
             page += &format!("<h3>{}</h3>", html::escape(scene));
-            for row in of_setting.iter().filter(|row| row.scene == scene) {
+            for row in of_setting.iter().filter(|row| row.scene == scene && picture(row).is_file()) {
                 page += &figure(row)?;
             }
         }
@@ -37,8 +38,12 @@ pub fn page(means: &Means, rows: &[Row]) -> Result<String> {
     Ok(page + "</html>\n")
 }
 
+fn picture(row: &Row) -> PathBuf {
+    Row::file(&row.place, &row.scene).with_extension("png")
+}
+
 fn figure(row: &Row) -> Result<String> {
-    let image = Image::open(Row::file(&row.place, &row.scene).with_extension("png"))?;
+    let image = Image::open(picture(row))?;
     let lpips = row.lpips.map_or_else(String::new, |lpips| format!(", LPIPS {lpips:.3}"));
     let given = if row.posed { " with cameras" } else { "" };
     let caption = format!(

@@ -146,7 +146,7 @@ impl Series<'_> {
         let limit = self.eval.series.limit.unwrap_or(usize::MAX);
         let (all, began, unknown) = (places.len() * settings.len(), Instant::now(), tally.unknown);
         for (i, (place, setting)) in places.iter().flat_map(|p| settings.iter().map(move |s| (p, s))).enumerate() {
-            if tally.evaluated + tally.failures.len() >= limit {
+            if tally.evaluated >= limit {
                 break;
             }
             let scene = format!("{} of {all}, {} {}", i + 1, place.name, setting.name());
@@ -184,9 +184,11 @@ impl Series<'_> {
         let targets = eval.targets.map_or(TARGETS, |targets| targets as usize);
         let poses = place.read(eval.series.keep_distortion)?;
         let Some(mut choice) = setting.choose(&place.name, poses, targets)? else { return Ok(Outcome::Unknown) };
-        let scene_file = eval.external.file(Some(&place.name))?;
-        let stamp = scene_file.as_deref().map(stamp).transpose()?.unwrap_or_default();
-        let hash = digest(&[choice.digest()?, stamp]);
+        let mut parts = vec![choice.digest()?];
+        for input in eval.external.inputs(&place.name)? {
+            parts.push(stamp(&input)?);
+        }
+        let hash = digest(&parts);
         let folder = self.folder.join(format!("{}-{}", setting.name(), setting.rule()));
         let file = Row::file(&folder, &place.name);
         if Row::read(&file).is_some_and(|row| row.hash == hash) {

@@ -120,6 +120,10 @@ pub fn run(
     match session.stage("sweep", |stage| bench.run(&networks, &passes, stage)) {
         Ok(_) => Ok((bench.sweep, false)),
         Err(Error::Cancelled) if !bench.sweep.points.is_empty() => Ok((bench.sweep, true)),
+        Err(error) if !bench.sweep.points.is_empty() => {
+            session.note(format!("the sweep ended early: {error}"));
+            Ok((bench.sweep, true))
+        }
         Err(error) => Err(error),
     }
 }

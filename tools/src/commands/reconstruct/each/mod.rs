@@ -79,9 +79,10 @@ impl<'a> Batch<'a> {
             return Err(Error::argument("--format", format, SceneFormat::EXTENSIONS));
         }
         outputs::check_folder(output)?;
-        let works = self.works()?;
-        let files = works.iter().flat_map(|work| [&work.scene, &work.record]);
-        overwrite.check_replaced(files)?;
+        let works = self.works(session)?;
+        // A .splat does not say who wrote it, its record does.
+        let unknown = works.iter().filter(|work| !outputs::is_own(&work.record));
+        overwrite.check_replaced(unknown.flat_map(|work| [&work.scene, &work.record]))?;
         overwrite.check_replaced([output.join(FAILURES)])?;
         let network = self.command.weights.open_network()?;
         let (maker, settings_key) = match &network {
@@ -127,10 +128,10 @@ impl<'a> Batch<'a> {
         }
     }
 
-    fn works(&self) -> Result<Vec<Work>> {
+    fn works(&self, session: &mut Session<'_>) -> Result<Vec<Work>> {
         let mut folders = Vec::new();
         for input in &self.command.input.photos {
-            folders.extend(self.captures(input)?);
+            folders.extend(self.captures(session, input)?);
         }
         let mut names: HashMap<String, &Path> = HashMap::new();
         let mut works = Vec::new();
@@ -149,7 +150,7 @@ impl<'a> Batch<'a> {
         Ok(works)
     }
 
-    fn captures(&self, input: &Path) -> Result<Vec<PathBuf>> {
+    fn captures(&self, session: &mut Session<'_>, input: &Path) -> Result<Vec<PathBuf>> {
         let found = input.metadata().map_err(|error| Error::io(input, error))?;
         if !found.is_dir() {
             let text = std::fs::read_to_string(input).map_err(|error| Error::io(input, error))?;
@@ -160,11 +161,14 @@ impl<'a> Batch<'a> {
         if self.is_capture(input)? {
             return Ok(vec![input.to_owned()]);
         }
-        let mut captures = Vec::new();
+        let (mut captures, mut others) = (Vec::new(), Vec::new());
         for folder in photos::folders_in(input)? {
-            if self.is_capture(&folder)? {
-                captures.push(folder);
-            }
+            let to = if self.is_capture(&folder)? { &mut captures } else { &mut others };
+            to.push(folder);
+        }
+        if !others.is_empty() {
+            let what = format!("{} without PNG, JPEG or WebP left out", counted(others.len(), "folder"));
+            session.note(format!("{what}: {}", photos::names(&others)));
         }
         if captures.is_empty() {
             let expected = "a folder with photos, directly or in images/, or a folder of such folders";
@@ -217,7 +221,7 @@ impl Runner<'_> {
                         lock(&tally).unchanged += 1;
                         continue;
                     };
-                    begun += 1;
+                    begun += usize::from(found.is_ok());
                     if to_device.send((work, found)).is_err() {
                         break;
                     }
