@@ -4,7 +4,7 @@ use crate::{
     ops::{Arithmetic, ParameterLayout},
     stages::lpips::{Lpips, LpipsNetwork, LpipsPictures},
     tune::KernelChoice,
-    weights::Tensors,
+    weights::Values,
 };
 use std::{
     ops::ControlFlow,
@@ -43,7 +43,7 @@ impl LpipsWeights {
         let arithmetic = KernelChoice::exact(device);
         let layout = |gradients: bool| Self::layout(device.limits(), arithmetic, network, gradients);
         let name = format!("LPIPS ({})", network.name());
-        let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;
+        let tensors = Values::open(path, &name, layout(false).0.names_and_shapes())?;
         let (parameters, lpips) = layout(gradients);
         let resident = parameters.load(device, &tensors, |_| ControlFlow::Continue(()))?.resident;
         Ok(Self { lpips, resident })

@@ -186,15 +186,15 @@ unsafe extern "C" fn listen(log: *mut c_void, progress: *const zs_progress) -> i
 #[test]
 fn photos_are_prepared_with_progress() {
     let device = open_device();
-    let model = model(&device);
+    let models = [0, 1].map(|tokens| made(try_model_with(&device, &zs_model_options { tokens, ..Versioned::new() })));
     let at_once = rayon::current_num_threads().min(MAX_VIEWS / 3);
     let photos = photos(2 * at_once as u32 + 1);
     let images: Vec<_> = photos.iter().map(image_of).collect();
-    for (most, status) in [(2, ZS_ERROR_CANCELLED), (usize::MAX, ZS_OK)] {
+    for (model, most, status) in [(0, 2, ZS_ERROR_CANCELLED), (0, usize::MAX, ZS_OK), (1, usize::MAX, ZS_OK)] {
         let mut log = CallLog { stages: Vec::new(), most, thread: thread::current().id() };
         let user_data = (&raw mut log).cast();
         let options = zs_reconstruct_options { progress: Some(listen), user_data, ..reconstruct_options() };
-        assert_eq!(try_reconstruct(&model, &images, &options).err().unwrap_or(ZS_OK), status);
+        assert_eq!(try_reconstruct(&models[model], &images, &options).err().unwrap_or(ZS_OK), status);
         let (fractions, stages): (Vec<f64>, Vec<String>) = log.stages.into_iter().unzip();
         let prepared = stages.iter().take_while(|stage| *stage == "photos").count();
         assert_eq!(prepared, most.min(3), "{stages:?}");

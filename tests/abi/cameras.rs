@@ -52,6 +52,12 @@ fn cameras_are_those_of_rust() {
         (info.view_count, info.token_count, info.gaussian_count),
         (3, expected.tokens, expected.gaussians.len())
     );
+    let mask: Vec<u8> = (0..SIDE * SIDE).map(|at| u8::from(at % SIDE < SIDE / 2)).collect();
+    let masked: Vec<_> = images.iter().map(|image| zs_image { mask: mask.as_ptr(), ..*image }).collect();
+    let reconstruction = made(try_reconstruct(&model(&device), &masked, &reconstruct_options()));
+    ok(unsafe { zs_reconstruction_get_info(reconstruction.handle, &mut info) });
+    let (count, each) = (read(&to_scene(&reconstruction)).len(), expected.gaussians.len() / expected.tokens);
+    assert!(info.gaussian_count == count && info.token_count * each == count && info.token_count < expected.tokens);
 }
 
 #[test]

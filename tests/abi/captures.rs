@@ -185,7 +185,7 @@ fn captures_of_arrays_are_written_and_read() {
 
 #[cfg(unix)]
 #[test]
-fn saved_captures_find_their_points() {
+fn saved_captures_find_their_photos_and_points() {
     let folder = capture(true);
     let path = folder.path().join("deep/transforms.json");
     std::fs::create_dir(folder.path().join("deep")).expect("a folder");
@@ -195,8 +195,12 @@ fn saved_captures_find_their_points() {
     let up: std::path::PathBuf = here.components().skip(1).map(|_| "..").collect();
     let relative = up.join(folder.path().strip_prefix("/").expect("an absolute path"));
     ok(unsafe { zs_capture_save(open(&relative).handle, text.as_ptr()) });
-    let points = [folder.path(), &path].map(|path| Capture::open(path).expect("a capture").points.expect("points"));
-    assert_eq!(points[0].canonicalize().ok(), points[1].canonicalize().ok());
+    let [first, saved] = [folder.path(), &path].map(|path| {
+        let Capture { frames, points, .. } = Capture::open(path).expect("a capture");
+        let photos = frames.into_iter().map(|frame| frame.photo.expect("a photo"));
+        photos.chain(points).map(|path| path.canonicalize().expect("a file")).collect::<Vec<_>>()
+    });
+    assert!(first == saved && saved.len() == COUNT + 1, "{first:?}, {saved:?}");
 }
 
 #[test]

@@ -34,6 +34,8 @@ fn known_depth_and_antialiasing_are_passed_on() {
         fails(refine(images, options).expect_err("an error"), ZS_ERROR_ARGUMENT, words);
     };
     refused(&images, metric, &["depth of the images", "NULL in all"]);
+    let unaligned = zs_image { depth: depths[0].as_ptr().wrapping_byte_add(1), ..known[0] };
+    refused(&[unaligned, known[1]], metric, &["depth", "a multiple of 4"]);
     let wrong = vec![f32::NAN; 48 * 36];
     refused(&[known[0], zs_image { depth: wrong.as_ptr(), ..known[1] }], metric, &["depth of photo 1", "NaN"]);
     refused(&known, zs_refine_options { depth_loss: 3, ..options }, &["depth_loss", "zs_depth_loss"]);

@@ -93,7 +93,7 @@ fn scenes_go_to_memory_and_come_back() {
 #[test]
 fn scenes_in_memory_are_told_apart_and_checked() {
     let mut truth = random_scene(4, 0, 0.1);
-    let ply = truth.encode(SceneFormat::Ply, &SaveOptions::default()).expect("a valid scene");
+    let ply = truth.encode(SceneFormat::Ply, &SaveOptions::default(), None).expect("a valid scene");
     assert_eq!(read(&made(from_memory(&ply, None, 0))).means, truth.means);
     truth.means[1] = [f32::NAN; 3];
     // A .splat, because our writer rejects such values.

@@ -203,5 +203,9 @@ def test_invalid_inputs_raise(places: Path, tmp_path: Path) -> None:
     empty.mkdir()
     with pytest.raises(ValueError, match="found no photos"):
         captures([str(empty)], Options())
+    (places / "1").rename(places / "report")
+    with pytest.raises(ValueError, match="a capture called report"):
+        captures([str(places)], Options())
+    (places / "report").rename(places / "1")
     with pytest.raises(ValueError, match="second capture called 1"):
         run([str(places), str(places / "1")], str(tmp_path / "out"))

@@ -10,11 +10,13 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import zipsplat
 from conftest import PHOTOS, SIZE, same
+from zipsplat import _native
 
 POINTS = """ply
 format ascii 1.0
@@ -142,6 +144,7 @@ def test_a_capture_matches_the_command_bitwise(model: zipsplat.Model, capture: P
     assert np.allclose(first.means, expected.means, atol=1e-5), "the first camera is the world's origin here"
     from_file = zipsplat.Scene.open(written)
     assert from_file.world == "input_cameras" and expected.world is None
+    assert zipsplat.Scene.from_bytes(from_file.to_bytes("spz")).world == "input_cameras"
     pictures = from_file.render(opened.cameras)
     command("render", written, "--cameras", capture / "transforms.json", "-o", capture / "drawn")
     drawn = [zipsplat.load_image(capture / "drawn" / f"00{i}.png") for i in range(3)]
@@ -333,6 +336,16 @@ def test_closed_objects_raise(photos: list[Path]) -> None:
             call()
     with zipsplat.Renderer(scene, zipsplat.default_device()) as renderer:
         assert renderer.render(zipsplat.Camera.from_fov(8, 8)).rgb.shape == (8, 8, 3)
+
+
+def test_a_lost_device_is_shared_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = zipsplat.default_device()
+    double = SimpleNamespace(zs_lost=lambda: 8, zs_last_error=lambda: None, zs_status_name=lambda _: None)
+    monkeypatch.setattr(_native, "lib", double)
+    with pytest.raises(zipsplat.DeviceLostError):
+        _native.call("zs_lost")
+    monkeypatch.undo()
+    assert zipsplat.default_device() is not lost
 
 
 def test_devices_are_opened_by_kind_uuid_and_name() -> None:

@@ -188,6 +188,13 @@ def test_renderers_take_arrays_and_scenes_points(scene: zipsplat.Scene, capture:
     with zipsplat.Renderer() as renderer:
         renderer.update_gaussians(**scene.to_numpy())
         assert np.array_equal(renderer.render(camera).rgb, scene.render(camera).rgb)
+        thin = {**scene.to_numpy(), "scales": scene.scales * 0.02, "antialiased": True}
+        renderer.update_gaussians(**thin)
+        assert np.array_equal(renderer.render(camera).rgb, zipsplat.Scene.from_arrays(**thin).render(camera).rgb)
+        assert (renderer.render(camera, antialiased=False).rgb != renderer.render(camera).rgb).any()
+        unaligned = np.frombuffer(b" " + scene.means.tobytes(), np.float32, offset=1).reshape(-1, 3)
+        renderer.update_gaussians(**{**scene.to_numpy(), "means": unaligned})
+        assert np.array_equal(renderer.render(camera).rgb, scene.render(camera).rgb)
         renderer.update_gaussians(**{**scene.to_numpy(), "opacities": 0 * scene.opacities})
         assert renderer.render(camera).rgb.max() == 0
         with pytest.raises(zipsplat.ArgumentError, match="opacit"):
@@ -211,6 +218,8 @@ def test_invalid_render_arguments_raise(scene: zipsplat.Scene) -> None:
         ([], {}, "at least one"),
         (camera, {"dtype": np.int16}, "int16"),
         (camera, {"depth": "mean"}, "'accumulated'"),
+        (camera, {"background": (0.5,)}, "background: found 1 values, expected 3"),
+        (camera, {"background": (0.5,) * 4}, "background: found 4 values"),
         (zipsplat.Camera.from_fov(48, 36, camera_to_world=np.full((4, 4), np.nan)), {}, "camera 0"),
     ]:
         with pytest.raises(ValueError, match=words):
@@ -265,7 +274,7 @@ def test_captures_are_made_of_cameras_and_saved(capture: Path, tmp_path: Path) -
     (tmp_path / "saved").mkdir()
     made.save(tmp_path / "saved" / "transforms.json")
     saved = zipsplat.Capture.open(tmp_path / "saved")
-    assert [view.name for view in saved] == names and np.allclose(saved.cameras.Ks, opened.cameras.Ks)
+    assert [view.path for view in saved] == paths and np.allclose(saved.cameras.Ks, opened.cameras.Ks)
     assert np.allclose(saved.cameras.camera_to_world, opened.cameras.camera_to_world)
     with pytest.raises(zipsplat.ArgumentError, match="2 of 3 photos"):
         made[1:].save(tmp_path / "part.json")

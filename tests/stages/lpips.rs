@@ -1,9 +1,9 @@
 //! Random weights against f64, real ones, if present, against goldens.
 
 use std::collections::HashMap;
-use zipsplat::ops::{ParameterLayout, ParameterSource};
+use zipsplat::ops::ParameterLayout;
 use zipsplat::stages::lpips::{Lpips, LpipsNetwork, LpipsPictures};
-use zipsplat::{perceptual::Perceptual, weights::Tensors};
+use zipsplat::{perceptual::Perceptual, weights::Values};
 use zipsplat_tests::golden::{interleaved, lpips_weights};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::lpips::{Layer, lpips};
@@ -167,7 +167,7 @@ fn equals_the_goldens() {
         let Some(path) = lpips_weights(network) else { continue };
         let mut layout = ParameterLayout::new(device().limits(), Arithmetic::EXACT);
         Lpips::new(&mut layout, network, false);
-        let tensors = Tensors::open(&path, "LPIPS", &layout.names_and_shapes()).unwrap();
+        let tensors = Values::open(&path, "LPIPS", layout.names_and_shapes()).unwrap();
         let mut metric = Perceptual::open(device(), network, &path, false).unwrap();
         for case in golden.stems(&format!("/{}/loss", network.name())) {
             let pair = Pair::golden(&golden, &case);

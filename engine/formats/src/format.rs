@@ -1,7 +1,6 @@
 //! Interface of scene formats.
 
 use std::io::Write;
-use std::path::Path;
 
 use super::{Scene, World, source::Source};
 use crate::Result;
@@ -23,7 +22,7 @@ pub(super) struct Format {
     pub write: for<'a> fn(&'a Scene, &SaveOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 
-type ReadLine = fn(&Path) -> Result<Option<String>>;
+type ReadLine = fn(Source<'_>) -> Result<Option<String>>;
 
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 

@@ -8,6 +8,7 @@ mod bounded;
 mod camera;
 mod color_transform;
 mod edit;
+mod fault;
 mod file;
 mod folder;
 mod format;
@@ -53,7 +54,7 @@ pub use ply::{
     PlyProperty, PointCloud, read_ply, read_ply_property, read_points, write_ply, write_ply_with, write_points,
 };
 pub use scene::{NEAR, SH_0, Scene, near};
-pub use scene_file::{SceneFormat, read_world};
+pub use scene_file::{SceneFormat, decode_world, read_world};
 pub use sh_rotation::sh_rotation;
 pub use similarity::Similarity;
 pub use skipped_pass::SkippedPass;

@@ -3,7 +3,8 @@
 use crate::{Camera, Error, PointCloud, Result, SH_0, Scene};
 use glam::DVec3;
 use rayon::prelude::*;
-use rstar::{PointDistance, RTree, primitives::GeomWithData};
+use rstar::{RTree, primitives::GeomWithData};
+use std::iter::repeat_n;
 
 const NEIGHBORS: usize = 3;
 /// Maximum Gaussian size over the nearest camera's distance: isolated points are often wrong.
@@ -20,13 +21,16 @@ impl Scene {
     /// # Errors
     /// [`Error::Argument`] without two distinct points.
     pub fn from_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Self> {
-        let places = cloud.positions.iter().map(|at| GeomWithData::new(at.map(f64::from), ()));
+        let mut sorted = cloud.positions.clone();
+        sorted.par_sort_unstable_by_key(|at| at.map(f32::to_bits));
+        let places =
+            sorted.chunk_by(|a, b| a == b).map(|equal| GeomWithData::new(equal[0].map(f64::from), equal.len()));
         let tree = RTree::bulk_load(places.collect());
         let centers: Vec<DVec3> = cameras.iter().map(|camera| camera.pose.translation).collect();
         let size = |at: &[f32; 3]| {
             let at = at.map(f64::from);
-            let squares =
-                tree.nearest_neighbor_iter(at).map(|other| other.distance_2(&at)).filter(|square| *square > 0.0);
+            let others = tree.nearest_neighbor_iter_with_distance_2(at).filter(|(_, square)| *square > 0.0);
+            let squares = others.flat_map(|(place, square)| repeat_n(square, place.data));
             let nearest: Vec<f64> = squares.take(NEIGHBORS).collect();
             let size = (nearest.iter().sum::<f64>() / nearest.len() as f64).sqrt();
             let distances = centers.iter().map(|center| center.distance(DVec3::from(at)));
@@ -91,7 +95,7 @@ mod tests {
         let cloud = PointCloud { positions, colors: vec![[255, 0, 128]; 5] };
         let scene = Scene::from_points(&cloud, &[]).expect("a scene");
         scene.validate().expect("a valid scene");
-        // Both points at 3 are neighbors of the point at 2; neither is the other's.
+        // Equal points are not each other's neighbors.
         let expected = [14.0f32, 6.0, 3.0, 14.0, 14.0].map(|squares| (squares / 3.0).sqrt());
         for (scale, expected) in scene.scales.iter().zip(expected) {
             assert!((scale[0] - expected).abs() < 1e-6, "{scale:?}, not {expected}");
@@ -101,6 +105,9 @@ mod tests {
         let camera = Camera { intrinsics: Intrinsics::from_fov(8, 8, 1.0, 1.0), pose: Pose::IDENTITY };
         assert_eq!(Scene::from_points(&cloud, &[camera]).expect("a scene").scales[2], [0.2; 3]);
         Scene::from_points(&PointCloud { positions: vec![[1.0; 3]; 4], colors: Vec::new() }, &[]).unwrap_err();
+        let positions = [vec![[0.0; 3]; 200_000], vec![[0.0, 0.0, 2.0]]].concat();
+        let equal = Scene::from_points(&PointCloud { positions, colors: Vec::new() }, &[]).expect("a scene");
+        assert!(equal.scales.iter().all(|scale| *scale == [2.0; 3]));
     }
 
     #[test]

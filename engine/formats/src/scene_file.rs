@@ -173,11 +173,11 @@ impl Scene {
         write_atomic(path, (format.format().write)(&self.in_order_of(format), options, world)?)
     }
 
-    /// Encodes the file of [`Scene::save`].
-    pub fn encode(&self, format: SceneFormat, options: &SaveOptions) -> Result<Vec<u8>> {
+    /// Encodes the file of [`Scene::save_in`].
+    pub fn encode(&self, format: SceneFormat, options: &SaveOptions, world: Option<&World>) -> Result<Vec<u8>> {
         self.validate()?;
         let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
-        let written = (format.format().write)(&self.in_order_of(format), options, None)?(&mut bytes);
+        let written = (format.format().write)(&self.in_order_of(format), options, world)?(&mut bytes);
         written.map_err(|source| Error::io(name, source))?;
         Ok(bytes)
     }
@@ -199,6 +199,15 @@ fn no_scene(name: &Path) -> Error {
 /// Reads a scene's world, if this engine stored one.
 pub fn read_world(path: impl AsRef<Path>) -> Result<Option<World>> {
     let path = path.as_ref();
-    let Some(read) = SceneFormat::of_file(path)?.and_then(|format| format.format().world) else { return Ok(None) };
-    Ok(read(path)?.as_deref().and_then(World::parse))
+    world(SceneFormat::of_file(path)?, || Source::open(path))
+}
+
+/// Reads the world of [`Scene::decode`]'s bytes.
+pub fn decode_world(bytes: &[u8], format: Option<SceneFormat>) -> Result<Option<World>> {
+    world(SceneFormat::detect(bytes, format), || Ok(Source::memory(Path::new(IN_MEMORY), bytes)))
+}
+
+fn world<'a>(format: Option<SceneFormat>, open: impl FnOnce() -> Result<Source<'a>>) -> Result<Option<World>> {
+    let Some(read) = format.and_then(|format| format.format().world) else { return Ok(None) };
+    Ok(read(open()?)?.as_deref().and_then(World::parse))
 }

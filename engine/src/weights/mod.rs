@@ -12,7 +12,6 @@ mod safetensors;
 mod seeded;
 mod source;
 mod tensor;
-mod tensors;
 mod torch;
 mod values;
 mod variant;
@@ -22,7 +21,6 @@ use std::path::Path;
 pub use checkpoint::Checkpoint;
 pub use depth::{DepthCheckpoint, DepthHeads};
 pub use tensor::Dtype;
-pub use tensors::Tensors;
 pub use values::Values;
 
 use crate::Result;

@@ -2,6 +2,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use super::contents::Contents;
+use super::safetensors;
 use super::source::{Bytes, Source};
 use super::tensor::Stored;
 use crate::ops::{ParameterSource, Q8};
@@ -17,6 +18,12 @@ pub struct Values {
 }
 
 impl Values {
+    pub fn open(path: &Path, network: &str, parameters: Vec<(String, Vec<usize>)>) -> Result<Self> {
+        let file = Bytes::open(path)?;
+        let contents = safetensors::contents(path, &file)?;
+        Self::in_file(path, file, network, parameters, contents)
+    }
+
     pub(super) fn seeded(network: &str, parameters: Vec<(String, Vec<usize>)>, key: &str, provenance: String) -> Self {
         Self { network: network.into(), parameters, source: Source::Seeded { key: key.into() }, provenance }
     }
@@ -97,7 +104,7 @@ impl ParameterSource for Values {
 }
 
 /// All parameters must have tensors.
-pub(super) fn matching(
+fn matching(
     path: &Path,
     network: &str,
     parameters: &[(String, Vec<usize>)],

@@ -15,7 +15,7 @@ pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
 }
 
 pub fn spz4(sh_degree: u32) -> Vec<u8> {
-    random_scene(7, sh_degree, 0.1).encode(SceneFormat::Spz, &SaveOptions { spz_version: 4 }).unwrap()
+    random_scene(7, sh_degree, 0.1).encode(SceneFormat::Spz, &SaveOptions { spz_version: 4 }, None).unwrap()
 }
 
 /// Damage behind the SPZ's checksum would not reach the parser.

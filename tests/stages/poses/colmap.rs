@@ -57,9 +57,16 @@ fn colmap_models_agree_with_transforms() {
     let capture = folder.path().join("capture");
     binary_model(&capture.join("sparse/0"), 1, &PINHOLE, &truth, &names);
     put_photos(&capture, &["images/003.png".into()]);
-    for path in
-        [text.clone(), text.join("images.txt"), capture.clone(), capture.join("sparse/0"), capture.join("sparse")]
-    {
+    let nerfstudio = capture.join("colmap/sparse/0");
+    binary_model(&nerfstudio, 1, &PINHOLE, &truth, &names);
+    for path in [
+        text.clone(),
+        text.join("images.txt"),
+        capture.clone(),
+        capture.join("sparse/0"),
+        capture.join("sparse"),
+        nerfstudio,
+    ] {
         let Ok(poses) = Capture::open(&path) else { panic!("{}", path.display()) };
         assert_same_cameras(&of(&poses), &truth);
         assert_eq!((poses.frames[3].name.as_str(), &poses.warnings), ("003.png", &vec![]));
@@ -186,6 +193,15 @@ fn point_clouds_are_found_and_read() {
         assert_eq!(found, Some(path(model).join(file)));
         let cloud = read_cloud(found.unwrap()).unwrap();
         assert_eq!((cloud.positions, cloud.colors), (narrow.to_vec(), vec![[1, 2, 3]; narrow.len()]), "{file}");
+    }
+    fs::copy(path("json/points.ply"), path("points3D.ply")).unwrap();
+    assert_eq!(read_cloud(path("points3D.ply")).unwrap().positions, narrow);
+    for (kind, colors) in [("uchar", vec![[1, 0, 1]]), ("float", Vec::new())] {
+        let columns = ["float"; 3].into_iter().chain([kind; 3]).zip(["x", "y", "z", "red", "green", "blue"]);
+        let properties: String = columns.map(|(kind, name)| format!("property {kind} {name}\n")).collect();
+        let text = format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n1 2 3 1 0 1\n");
+        fs::write(path("colors.ply"), text).unwrap();
+        assert_eq!(read_cloud(path("colors.ply")).unwrap().colors, colors, "{kind}");
     }
     for (file, bytes, reason) in [
         ("binary/points3D.bin", bytes[..bytes.len() - 1].to_vec(), "truncated"),

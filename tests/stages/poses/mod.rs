@@ -115,6 +115,8 @@ fn intrinsics_come_from_angles_frames_and_photos() {
         json["frames"][2]["fl_x"] = json!(80.0);
         json["frames"][2]["w"] = json!(65.0);
         json["frames"][4]["k1"] = json!(0.1);
+        json["frames"][3]["view"] = json!("front");
+        json["frames"][4]["view"] = json!(7);
     });
     let poses = Capture::open(&path).unwrap();
     assert_eq!(poses.frames[2].camera.intrinsics, Intrinsics { fx: 80.0, width: 65, ..LENS });

@@ -10,7 +10,7 @@ fn tagged() -> Scene {
 }
 
 fn encoded(scene: &Scene, format: SceneFormat, spz_version: u32) -> Vec<u8> {
-    scene.encode(format, &SaveOptions { spz_version }).unwrap()
+    scene.encode(format, &SaveOptions { spz_version }, None).unwrap()
 }
 
 #[test]

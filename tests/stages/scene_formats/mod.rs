@@ -7,7 +7,7 @@ mod sog;
 mod spz4;
 
 use flate2::Compression;
-use zipsplat::types::{Origin, SaveOptions, SceneFormat, World, read_world};
+use zipsplat::types::{Origin, SaveOptions, SceneFormat, World, decode_world, read_world};
 use zipsplat_tests::prelude::*;
 
 /// Rotations of every largest component, sign and length; opaque and transparent Gaussians.
@@ -91,7 +91,7 @@ fn spz_keeps_what_its_grids_resolve() {
 #[test]
 fn spz_of_many_gaussians_is_one_stream() {
     let truth = scenes::random_scene(120_000, 0, 0.1);
-    let [three, four] = [3, 4].map(|spz_version| truth.encode(SceneFormat::Spz, &SaveOptions { spz_version }));
+    let [three, four] = [3, 4].map(|spz_version| truth.encode(SceneFormat::Spz, &SaveOptions { spz_version }, None));
     let [three, four] = [three.unwrap(), four.unwrap()];
     assert!(Scene::decode(&three, None).unwrap() == Scene::decode(&four, None).unwrap());
     assert_eq!(gunzip(&three).len(), 16 + 20 * truth.len());
@@ -177,7 +177,7 @@ fn bytes_in_memory_are_what_files_have() {
     for format in SceneFormat::ALL.iter().copied() {
         let (truth, path) = (scene(1), folder.path().join(format!("scene{}", format.extension())));
         assert_eq!(SceneFormat::of_extension(&path), Some(format));
-        let bytes = truth.encode(format, &SaveOptions::default()).unwrap();
+        let bytes = truth.encode(format, &SaveOptions::default(), None).unwrap();
         truth.save(&path).unwrap();
         assert!(fs::read(&path).unwrap() == bytes, "{format:?}");
         assert!(Scene::decode(&bytes, Some(format)).unwrap() == Scene::open(&path).unwrap(), "{format:?}");
@@ -186,7 +186,7 @@ fn bytes_in_memory_are_what_files_have() {
     }
     assert_refused(Scene::decode(b"no scene", None), &["scene in memory", "expected .ply"]);
     let truth = Scene { opacities: vec![2.0; 400], ..scene(0) };
-    assert!(matches!(truth.encode(SceneFormat::Ply, &SaveOptions::default()), Err(Error::Argument { .. })));
+    assert!(matches!(truth.encode(SceneFormat::Ply, &SaveOptions::default(), None), Err(Error::Argument { .. })));
     let row = [f32::NAN, 0.0, 1.0, 0.1, 0.1, 0.1].map(f32::to_le_bytes);
     let bytes = [row.as_flattened(), &[9; 8]].concat();
     assert!(Scene::decode(&bytes, Some(SceneFormat::Splat)).is_err());
@@ -286,11 +286,16 @@ fn files_say_which_world_a_scene_is_in() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a.ply", "a.spz", "a.glb", "a.gltf", "a.splat"] {
         let path = folder.path().join(name);
+        let format = SceneFormat::of_extension(&path).unwrap();
         let saved = |world: Option<&World>| {
             scene(1).save_in(&path, &SaveOptions::default(), world).unwrap();
-            read_world(&path).unwrap()
+            let found = read_world(&path).unwrap();
+            let bytes = scene(1).encode(format, &SaveOptions::default(), world).unwrap();
+            assert!(fs::read(&path).unwrap() == bytes, "{name}");
+            assert_eq!(decode_world(&bytes, Some(format)).unwrap(), found, "{name}");
+            found
         };
-        let keeps = SceneFormat::of_extension(&path).unwrap().keeps_world(&SaveOptions::default());
+        let keeps = format.keeps_world(&SaveOptions::default());
         assert_eq!(keeps, name != "a.splat");
         let away = DVec3::new(0.1, -2e30, 3.0);
         let landmarks = vec![("photo é 1.jpg".into(), DVec3::ZERO), ("a b.png".into(), away)];

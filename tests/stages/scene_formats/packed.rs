@@ -132,7 +132,7 @@ fn damaged_ones_are_refused() {
         ("uint packed_scale", "float packed_scale", "vertex, packed_scale: found float, expected uint"),
         ("uint packed_color", "uint packed_tints", "no property packed_color"),
         ("float max_scale_y", "float most_scale_y", "element chunk has no property max_scale_y"),
-        ("uchar f_rest_8", "uchar f_8", "8 f_rest properties of sh, expected 9, 24 or 45"),
+        ("uchar f_rest_8", "uchar f_8", "8 f_rest properties, expected 0, 9, 24 or 45"),
         ("binary_little_endian", "ascii", "vertex, packed_position: found float, expected uint"),
     ] {
         assert!(header.contains(from));

@@ -7,7 +7,7 @@ use zipsplat::types::{SaveOptions, SceneFormat, read_ply};
 use zipsplat_tests::prelude::*;
 
 fn encoded(scene: &Scene) -> Vec<u8> {
-    scene.encode(SceneFormat::Sog, &SaveOptions::default()).unwrap()
+    scene.encode(SceneFormat::Sog, &SaveOptions::default(), None).unwrap()
 }
 
 fn files(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {

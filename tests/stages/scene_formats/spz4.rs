@@ -108,7 +108,7 @@ fn ours_keep_what_version_3_keeps() {
         let found = round_trip(&truth, "scene.spz", &options);
         assert_spz(&found, &truth, 4, 16);
         assert_eq!(found, round_trip(&truth, "scene.spz", &SaveOptions::default()));
-        let bytes = truth.encode(SceneFormat::Spz, &options).unwrap();
+        let bytes = truth.encode(SceneFormat::Spz, &options, None).unwrap();
         assert_eq!((&bytes[..5], Scene::decode(&bytes, None).unwrap()), (&b"NGSP\x04"[..], found));
     }
 }
@@ -125,7 +125,7 @@ fn equal_gaussians_come_back() {
         sh_coeffs: vec![one.sh_coeffs[0]; n],
         ..Scene::default()
     };
-    let bytes = many.encode(SceneFormat::Spz, &SaveOptions { spz_version: 4 }).unwrap();
+    let bytes = many.encode(SceneFormat::Spz, &SaveOptions { spz_version: 4 }, None).unwrap();
     let found = read(&bytes);
     assert!(found.len() == n && found.means.iter().all(|mean| *mean == found.means[0]));
 }

@@ -202,7 +202,7 @@ impl View {
         let note = format!("Made before the page was: {}; --ratios says which.", counted(scenes.len(), "ratio"));
         if self.output.is_none() {
             for (shown, scene) in shown.iter_mut().zip(&scenes) {
-                shown.bytes = scene.encode(SceneFormat::Ply, &SaveOptions::default())?.len() as u64;
+                shown.bytes = scene.encode(SceneFormat::Ply, &SaveOptions::default(), None)?.len() as u64;
             }
         }
         let up = vertical(&cameras);
@@ -267,8 +267,9 @@ impl View {
         if let Some(note) = scenes.iter().find_map(spz_coarsening).filter(|_| !self.lossless) {
             session.note(format!("{note}; --lossless keeps them"));
         }
-        let (encoded, _) = session
-            .stage("pack scenes", |stage| stage.each(scenes, |scene| scene.encode(format, &SaveOptions::default())))?;
+        let (encoded, _) = session.stage("pack scenes", |stage| {
+            stage.each(scenes, |scene| scene.encode(format, &SaveOptions::default(), None))
+        })?;
         for (shown, bytes) in config.scenes.iter_mut().zip(&encoded).filter(|(shown, _)| shown.bytes == 0) {
             shown.bytes = bytes.len() as u64;
         }

@@ -43,7 +43,7 @@ impl Served<'_> {
             _ if path.starts_with("view/") => self.view(path),
             _ if path.starts_with("scene/") => {
                 let Some(scene) = number(path, "scene/").and_then(|i| self.scenes.get(i)) else { return Ok(None) };
-                Ok(Some((BYTES, scene.encode(SceneFormat::Ply, &SaveOptions::default())?)))
+                Ok(Some((BYTES, scene.encode(SceneFormat::Ply, &SaveOptions::default(), None)?)))
             }
             _ if path.starts_with("features/") => {
                 let shown = number(path, "features/").and_then(|i| self.config.scenes.get(i));

@@ -55,7 +55,7 @@ impl LiveScene {
     /// A line of JSON, then the scene at full precision.
     pub fn encode(mut self) -> Result<Vec<u8>> {
         let begin = Instant::now();
-        let ply = self.scene.encode(SceneFormat::Ply, &SaveOptions::default())?;
+        let ply = self.scene.encode(SceneFormat::Ply, &SaveOptions::default(), None)?;
         self.shown.bytes = ply.len() as u64;
         self.shown.times.push(("pack".into(), milliseconds(begin.elapsed())));
         let mut bytes = serde_json::to_vec(&self.shown).expect("plain values");

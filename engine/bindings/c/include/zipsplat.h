@@ -391,7 +391,7 @@ zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 // Creates a capture from copies of pinhole cameras. Paths may be NULL.
 zs_status zs_capture_create(const struct zs_capture_view *views, size_t count, struct zs_capture **capture);
 
-// Writes cameras, names and lenses as a transforms.json (nerfstudio).
+// Writes cameras, lenses and photo paths as a transforms.json (nerfstudio).
 zs_status zs_capture_save(const struct zs_capture *capture, const char *path);
 
 // Describes a capture.

@@ -16,7 +16,7 @@ use std::{
 };
 use zipsplat::{
     Camera, Capture, Image,
-    types::poses::{CaptureView, write_frames},
+    types::poses::{CaptureView, find_photo, write_frames},
 };
 
 pub struct zs_capture {
@@ -104,8 +104,16 @@ pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *cons
         // SAFETY: the caller's arguments.
         let (capture, path) = unsafe { (&borrow(capture, "capture")?.capture, text(path, "path")?) };
         // Readers resolve relative paths from the file's folder.
-        let points = capture.points.as_deref().and_then(|points| std::path::absolute(points).ok());
-        Ok(write_frames(path, &capture.frames, points.as_deref().and_then(Path::to_str))?)
+        let folder = Path::new(path).parent().unwrap_or(Path::new(""));
+        let absolute = |path: &Path| std::path::absolute(path).ok()?.into_os_string().into_string().ok();
+        let named = |frame: &CaptureView| {
+            let found = find_photo(folder, &frame.name).and_then(|path| path.canonicalize().ok());
+            let photo = frame.photo.as_deref().filter(|photo| photo.canonicalize().ok() != found);
+            let name = photo.and_then(absolute).unwrap_or_else(|| frame.name.clone());
+            CaptureView { name, ..frame.clone() }
+        };
+        let frames: Vec<CaptureView> = capture.frames.iter().map(named).collect();
+        Ok(write_frames(path, &frames, capture.points.as_deref().and_then(absolute).as_deref())?)
     })
 }
 

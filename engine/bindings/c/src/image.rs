@@ -201,10 +201,13 @@ impl zs_image {
     ///
     /// # Safety
     /// As its pixels.
-    pub(super) unsafe fn known_depth(&self) -> Option<Vec<f32>> {
-        let pixels = self.width as usize * self.height as usize;
+    pub(super) unsafe fn known_depth(&self) -> Result<Option<Vec<f32>>, Failure> {
+        if self.depth.is_null() {
+            return Ok(None);
+        }
         // SAFETY: the caller's array.
-        (!self.depth.is_null()).then(|| unsafe { std::slice::from_raw_parts(self.depth, pixels) }.to_vec())
+        let depth = unsafe { array(self.depth, self.width as usize * self.height as usize, "depth") }?;
+        Ok(Some(depth.to_vec()))
     }
 }
 

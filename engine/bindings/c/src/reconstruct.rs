@@ -148,9 +148,15 @@ impl zs_model {
         options: &ReconstructOptions,
         mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<(Reconstruction, Option<ModelTokens>), Failure> {
-        let made = self.model.reconstruct_features(features, options, &mut progress)?;
-        let Some(head) = self.head.clone() else { return Ok((made, None)) };
-        let tokens = self.model.tokens(features, options, progress)?;
+        let Some(head) = self.head.clone() else {
+            return Ok((self.model.reconstruct_features(features, options, progress)?, None));
+        };
+        let mut half = |now: Progress<'_>, start: f64| {
+            let fraction = start + 0.5 * now.fraction;
+            progress(Progress { fraction, ..now })
+        };
+        let made = self.model.reconstruct_features(features, options, |now| half(now, 0.0))?;
+        let tokens = self.model.tokens(features, options, |now| half(now, 0.5))?;
         Ok((made, Some(ModelTokens { tokens, head })))
     }
 }

@@ -136,11 +136,12 @@ pub unsafe extern "C" fn zs_reconstruction_get_info(
     info: *mut zs_reconstruction_info,
 ) -> zs_status {
     let of = |zs_reconstruction { made, tokens, features, warnings, .. }: &zs_reconstruction| {
+        let token_count = made.unmasked.as_ref().map_or(made.tokens, Vec::len);
         Ok(zs_reconstruction_info {
             has_tokens: tokens.is_some().into(),
             view_count: made.placement.as_ref().map_or(0, |placement| placement.maps.len()),
-            token_count: made.tokens,
-            gaussian_count: made.gaussians.len(),
+            token_count,
+            gaussian_count: made.gaussians.len() * token_count / made.tokens,
             warnings: warnings.as_ptr(),
             channel_count: features.as_ref().map_or(0, |features| features.channels()),
             ..Versioned::new()

@@ -14,7 +14,7 @@ use std::{
 };
 use zipsplat::{
     SaveOptions, Scene,
-    types::{Origin, PointCloud, SceneFormat, World, read_world},
+    types::{Origin, PointCloud, SceneFormat, World, decode_world, read_world},
 };
 
 pub struct zs_scene {
@@ -241,7 +241,8 @@ pub unsafe extern "C" fn zs_scene_from_memory(
         };
         let format = format.map(format_named).transpose()?;
         let drops = options.drops()?;
-        options.checked(if drops { Scene::decode_unchecked(bytes, format) } else { Scene::decode(bytes, format) }?)
+        let scene = if drops { Scene::decode_unchecked(bytes, format) } else { Scene::decode(bytes, format) }?;
+        Ok(zs_scene { world: decode_world(bytes, format)?, ..options.checked(scene)? })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, decode) }
@@ -296,7 +297,7 @@ pub unsafe extern "C" fn zs_scene_to_memory(
         // SAFETY: the caller's arguments.
         let (scene, format, options) =
             unsafe { (borrow(scene, "scene")?, text(format, "format")?, read_versioned(options)?) };
-        Ok(zs_blob { bytes: scene.scene.encode(format_named(format)?, &options.engine())? })
+        Ok(zs_blob { bytes: scene.scene.encode(format_named(format)?, &options.engine(), scene.world.as_ref())? })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(bytes, encode) }

@@ -108,25 +108,24 @@ pub(super) fn unpack(bytes: &[u8]) -> Parsed<(&[u8], Option<&[u8]>)> {
     if !bytes.starts_with(b"glTF") {
         return Ok((bytes, None));
     }
-    let fault = |offset: usize, reason: String| Fault { offset: Some(offset), reason };
     let word = |at: usize| {
         let word = bytes.get(at..).and_then(|rest| rest.first_chunk::<4>());
-        word.map(|word| u32::from_le_bytes(*word)).ok_or_else(|| fault(at, "truncated".into()))
+        word.map(|word| u32::from_le_bytes(*word)).ok_or_else(|| Fault::at(at, "truncated".into()))
     };
     if word(4)? != 2 {
-        return Err(fault(4, format!("found version {}, expected 2", word(4)?)));
+        return Err(Fault::at(4, format!("found version {}, expected 2", word(4)?)));
     }
     if word(8)? as usize > bytes.len() {
-        return Err(fault(8, format!("truncated: found {} bytes, expected {}", bytes.len(), word(8)?)));
+        return Err(Fault::at(8, format!("truncated: found {} bytes, expected {}", bytes.len(), word(8)?)));
     }
     let chunk = |at: usize, kind: u32| {
         let (length, found) = (word(at)? as usize, word(at + 4)?);
         if found != kind {
-            return Err(fault(at + 4, format!("found a chunk of type {found:#010x}, expected {kind:#010x}")));
+            return Err(Fault::at(at + 4, format!("found a chunk of type {found:#010x}, expected {kind:#010x}")));
         }
         let body = bytes[at + 8..].get(..length);
         body.ok_or_else(|| {
-            fault(at, format!("truncated: the chunk has {length} bytes, {} follow", bytes.len() - at - 8))
+            Fault::at(at, format!("truncated: the chunk has {length} bytes, {} follow", bytes.len() - at - 8))
         })
     };
     let json = chunk(12, JSON_CHUNK)?;

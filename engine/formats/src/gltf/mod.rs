@@ -8,11 +8,10 @@ mod buffers;
 mod document;
 mod write;
 
-use std::path::Path;
-
 use glam::{DMat3, DMat4, DVec3};
 use rayon::prelude::*;
 
+use super::fault::{Fault, Parsed};
 use super::format::Format;
 use super::{Pose, Scene, axes::HalfTurn::AboutZ, source::Source};
 use crate::{Error, Result};
@@ -34,22 +33,9 @@ const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Relative tolerance of nodes' non-uniform scale and shear.
 const SHEAR_TOLERANCE: f64 = 1e-4;
 
-struct Fault {
-    offset: Option<usize>,
-    reason: String,
-}
-
-impl From<String> for Fault {
-    fn from(reason: String) -> Self {
-        Self { offset: None, reason }
-    }
-}
-
-type Parsed<T> = std::result::Result<T, Fault>;
-
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let (bytes, path) = (source.rest()?, source.name);
-    let fail = |Fault { offset, reason }: Fault| Error::format(path, offset.map(|at| at as u64), reason);
+    let fail = |fault: Fault| fault.in_file(path);
     let (json, binary) = unpack(&bytes).map_err(fail)?;
     let document = Document::parse(json).map_err(fail)?;
     let buffers = Buffers::open(&document.buffers, binary, path, source.folder())?;
@@ -71,8 +57,8 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     joined.unwrap_or_else(none)
 }
 
-fn read_line(path: &Path) -> Result<Option<String>> {
-    let bytes = Source::open(path)?.rest()?;
+fn read_line(mut source: Source<'_>) -> Result<Option<String>> {
+    let bytes = source.rest()?;
     let document = unpack(&bytes).and_then(|(json, _)| Document::parse(json)).ok();
     Ok(document.and_then(|document| document.line().map(str::to_owned)))
 }

@@ -50,10 +50,9 @@ pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     write_atomic(path.as_ref(), encoder(scene, START, None))
 }
 
-fn read_line(path: &Path) -> Result<Option<String>> {
-    let mut start = Vec::new();
-    let read = Source::open(path)?.take(MAX_HEADER as u64).read_to_end(&mut start);
-    read.map_err(|source| Error::io(path, source))?;
+fn read_line(source: Source<'_>) -> Result<Option<String>> {
+    let (path, mut start) = (source.name, Vec::new());
+    source.take(MAX_HEADER as u64).read_to_end(&mut start).map_err(|error| Error::io(path, error))?;
     let header = String::from_utf8_lossy(&start);
     let mut comments = header.lines().take_while(|line| *line != "end_header").filter_map(|l| l.strip_prefix(COMMENT));
     Ok(comments.find(|comment| comment.starts_with(MADE_BY)).map(str::to_owned))
@@ -142,7 +141,8 @@ fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     let scales = [column("scale_0")?, column("scale_1")?, column("scale_2")?];
     let quats = [column("rot_0")?, column("rot_1")?, column("rot_2")?, column("rot_3")?];
     let opacity = column("opacity")?;
-    let (coeffs, sh_degree) = sh_columns(&table)?;
+    let base = [column("f_dc_0")?, column("f_dc_1")?, column("f_dc_2")?];
+    let (rest, sh_degree) = rest_columns(&table, column)?;
     let mut scene = Scene::zeroed(table.count, sh_degree);
     ply.rows(&table, |start, rows| {
         scene.rows_mut(start).zip(rows.par_chunks_exact(table.row_bytes)).for_each(|(gaussian, row)| {
@@ -150,7 +150,8 @@ fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
             *gaussian.scale = read(&scales, row).map(f32::exp);
             *gaussian.quat = read(&quats, row);
             *gaussian.opacity = 1.0 / (1.0 + (-opacity.read(row)).exp());
-            for (coeff, columns) in gaussian.sh.iter_mut().zip(&coeffs) {
+            gaussian.sh[0] = read(&base, row);
+            for (coeff, columns) in gaussian.sh[1..].iter_mut().zip(&rest) {
                 *coeff = read(columns, row);
             }
         });
@@ -159,18 +160,16 @@ fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     Ok(scene)
 }
 
-fn sh_columns(table: &Table) -> Parsed<(Vec<[Column; 3]>, u32)> {
-    let rest = table.names().filter(|name| name.starts_with("f_rest_")).count();
-    let Some(sh_degree) = (0..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == rest as u32) else {
-        return Err(table.fault(format!("{rest} f_rest properties, expected 0, 9, 24 or 45 (degree 0 to 3)")));
+fn rest_columns(table: &Table, column: impl Fn(&str) -> Parsed<Column>) -> Parsed<(Vec<[Column; 3]>, u32)> {
+    let count = table.names().filter(|name| name.starts_with("f_rest_")).count();
+    let Some(sh_degree) = (0..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == count as u32) else {
+        return Err(table.fault(format!("{count} f_rest properties, expected 0, 9, 24 or 45 (degree 0 to 3)")));
     };
-    let channel = rest / 3;
-    let mut coeffs = vec![[table.column("f_dc_0")?, table.column("f_dc_1")?, table.column("f_dc_2")?]];
-    for k in 0..channel {
-        let rest = |c: usize| table.column(&format!("f_rest_{}", c * channel + k));
-        coeffs.push([rest(0)?, rest(1)?, rest(2)?]);
-    }
-    Ok((coeffs, sh_degree))
+    let coefficient = |k: usize| {
+        let rest = |channel: usize| column(&format!("f_rest_{}", channel * count / 3 + k));
+        Ok([rest(0)?, rest(1)?, rest(2)?])
+    };
+    Ok(((0..count / 3).map(coefficient).collect::<Parsed<_>>()?, sh_degree))
 }
 
 fn read<const N: usize>(columns: &[Column; N], row: &[u8]) -> [f32; N] {

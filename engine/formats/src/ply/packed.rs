@@ -18,7 +18,7 @@ const CHUNK: usize = 256;
 const SH_RANGE: f32 = 8.0;
 
 pub(super) fn is(ply: &Ply<'_>) -> bool {
-    ply.has("vertex", "packed_position")
+    ply.declared("vertex", "packed_position").is_some()
 }
 
 pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
@@ -35,7 +35,14 @@ pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
         );
     }
     let sh = if ply.has_element("sh") { Some(ply.table("sh")?) } else { None };
-    let (rest, sh_degree) = rest_columns(ply, sh.as_ref(), vertices.count)?;
+    let (rest, sh_degree) = match &sh {
+        Some(table) if table.count != vertices.count => {
+            let (found, count) = (table.count, vertices.count);
+            return Err(ply.fault(format!("found {found} rows of sh, expected one for each of {count} vertices")));
+        }
+        Some(table) => super::rest_columns(table, |name| table.typed(name, Scalar::U8))?,
+        None => (Vec::new(), 0),
+    };
     let ranges = ranges(ply, &chunks)?;
     let mut scene = Scene::zeroed(vertices.count, sh_degree);
     ply.rows(&vertices, |start, rows| {
@@ -64,24 +71,6 @@ pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
         })?;
     }
     Ok(scene)
-}
-
-fn rest_columns(ply: &Ply<'_>, sh: Option<&Table>, count: usize) -> Parsed<(Vec<[Column; 3]>, u32)> {
-    let Some(table) = sh else { return Ok((Vec::new(), 0)) };
-    if table.count != count {
-        return Err(ply.fault(format!("found {} rows of sh, expected one for each of {count} vertices", table.count)));
-    }
-    let found = table.names().filter(|name| name.starts_with("f_rest_")).count();
-    let Some(sh_degree) = (1..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == found as u32) else {
-        return Err(ply.fault(format!("{found} f_rest properties of sh, expected 9, 24 or 45 (degree 1 to 3)")));
-    };
-    let channel = found / 3;
-    let mut columns = Vec::new();
-    for k in 0..channel {
-        let column = |c: usize| table.typed(&format!("f_rest_{}", c * channel + k), Scalar::U8);
-        columns.push([column(0)?, column(1)?, column(2)?]);
-    }
-    Ok((columns, sh_degree))
 }
 
 struct Range {

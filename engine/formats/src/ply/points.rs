@@ -2,7 +2,7 @@ use std::path::Path;
 
 use super::super::{file::write_atomic, source::Source};
 use super::table::{Parsed, Ply};
-use crate::Result;
+use crate::{Result, scalar::Scalar};
 
 /// Points in the world of their cameras.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,7 +23,8 @@ fn cloud(source: Source<'_>) -> Parsed<PointCloud> {
     let mut ply = Ply::open(source)?;
     let table = ply.table("vertex")?;
     let at = [table.column("x")?, table.column("y")?, table.column("z")?];
-    let color = ["red", "green", "blue"].map(|name| table.column(name).ok());
+    let is_byte = |name: &str| ply.declared("vertex", name) == Some(Scalar::U8);
+    let color = ["red", "green", "blue"].map(|name| table.column(name).ok().filter(|_| is_byte(name)));
     let color = if let [Some(red), Some(green), Some(blue)] = color { Some([red, green, blue]) } else { None };
     let PointCloud { mut positions, mut colors } = PointCloud::default();
     ply.rows(&table, |_, rows| {

@@ -49,9 +49,9 @@ impl<'a> Ply<'a> {
         Ok(Self { antialiased, ascii, elements, values, passed: 0, body: body as u64, body_bytes })
     }
 
-    pub(super) fn has(&self, element: &str, property: &str) -> bool {
-        let found = self.elements.iter().find(|found| found.name == element);
-        found.is_some_and(|element| element.properties.iter().any(|(name, _)| name == property))
+    pub(super) fn declared(&self, element: &str, property: &str) -> Option<Scalar> {
+        let element = self.elements.iter().find(|found| found.name == element)?;
+        element.properties.iter().find(|(name, _)| name == property).map(|(_, scalar)| *scalar)
     }
 
     pub(super) fn has_element(&self, element: &str) -> bool {

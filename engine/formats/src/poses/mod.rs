@@ -20,7 +20,7 @@ use crate::{Error, Result};
 
 pub use colmap::{colmap_files, write_colmap};
 pub use scene_scale::{SceneScale, Source};
-pub use transforms::{write_frames, write_frames_with, write_transforms};
+pub use transforms::{find_photo, write_frames, write_frames_with, write_transforms};
 
 /// Photos with cameras. Photos of lenses wider than [`MAX_VIEW_DEG`] have a frame for each of their
 /// [`Lens::views`], adjacent and of one name.
@@ -335,7 +335,7 @@ const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 /// Reads a PLY, `points3D.bin` or `points3D.txt`.
 pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
-    let is_colmap = path.file_stem().is_some_and(|stem| stem == "points3D");
+    let is_colmap = ["points3D.bin", "points3D.txt"].iter().any(|name| path.ends_with(name));
     if is_colmap { colmap::read_points(path) } else { super::read_points(path) }
 }
 

@@ -38,7 +38,8 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Capture> {
             continue;
         };
         let named = (name.to_owned(), photo);
-        let (lens, pose, view) = (fields.lens(width, height)?, fields.pose()?, fields.view()?);
+        let (lens, pose) = (fields.lens(width, height)?, fields.pose()?);
+        let view = if lens.view_count() > 1 { fields.view()? } else { None };
         poses.frames.extend(CaptureView::of_lens(named, lens, pose, view, &fields.label)?);
     }
     if let Some(place) = poses.sizeless.first() {
@@ -48,7 +49,8 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Capture> {
     Ok(poses.warn_of_cut())
 }
 
-pub(super) fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
+/// Finds a photo by its name in a folder, with or without extension.
+pub fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
     let path = folder.join(name);
     let extended = EXTENSIONS.iter().map(|extension| {
         let mut extended = path.clone().into_os_string();

@@ -8,7 +8,6 @@
 mod palette;
 
 use std::io::{Cursor, Read, Write};
-use std::path::Path;
 
 use image::{ExtendedColorType, ImageReader, codecs::webp::WebPEncoder};
 use serde::{Deserialize, Deserializer};
@@ -303,8 +302,7 @@ impl<'a> Archive<'a> {
     }
 }
 
-fn read_line(path: &Path) -> Result<Option<String>> {
-    let mut source = Source::open(path)?;
+fn read_line(mut source: Source<'_>) -> Result<Option<String>> {
     let bytes = source.rest()?;
     Ok(Archive::open(&bytes).ok().and_then(|(_, meta)| Some(meta.asset["generator"].as_str()?.to_owned())))
 }

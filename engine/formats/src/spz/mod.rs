@@ -13,10 +13,10 @@ mod range;
 mod streams;
 
 use std::io::Read;
-use std::path::Path;
 
 use flate2::read::GzDecoder;
 
+use super::fault::{Fault, Parsed};
 use super::format::{Encoder, Format, SaveOptions};
 use super::{Scene, World, source::Source};
 use crate::{Error, Result};
@@ -45,8 +45,8 @@ const MAX_EXTENSIONS: u64 = 1 << 20;
 const MAX_INFLATION: u64 = 64;
 const ALWAYS_INFLATED: u64 = 64 << 20;
 
-fn read_line(path: &Path) -> Result<Option<String>> {
-    let decoder = GzDecoder::new(Source::open(path)?);
+fn read_line(source: Source<'_>) -> Result<Option<String>> {
+    let decoder = GzDecoder::new(source);
     Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
 }
 
@@ -76,13 +76,12 @@ fn encoder<'a>(scene: &'a Scene, options: &SaveOptions, world: Option<&World>) -
 /// Offsets of errors refer to the inflated stream, in version 4 to the file.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
-    decode(&bytes).map_err(|Fault { offset, reason }| Error::format(source.name, offset.map(|at| at as u64), reason))
+    decode(&bytes).map_err(|fault| fault.in_file(source.name))
 }
 
 impl Layout {
     /// Checks the [`fields`](Self::fields) of a header.
-    fn of_header(version: u32, [sh_degree, fractional_bits, flags]: [u8; 3]) -> std::result::Result<Self, Fault> {
-        let fault = |offset: usize, reason: String| Err(Fault { offset: Some(offset), reason });
+    fn of_header(version: u32, [sh_degree, fractional_bits, flags]: [u8; 3]) -> Parsed<Self> {
         if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
             return fault(12, format!("found degree {sh_degree}, expected 0 to {}", Scene::MAX_SH_DEGREE));
         }
@@ -95,40 +94,38 @@ impl Layout {
     }
 }
 
-struct Fault {
-    offset: Option<usize>,
-    reason: String,
+fn fault<T>(offset: usize, reason: String) -> Parsed<T> {
+    Err(Fault::at(offset, reason))
 }
 
-fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
-    let fault = |offset: usize, reason: String| Fault { offset: Some(offset), reason };
+fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if bytes.starts_with(&MAGIC.to_le_bytes()) {
         return streams::decode(bytes);
     }
     let mut stream = GzDecoder::new(bytes);
-    let gzip = |error: std::io::Error| Fault { offset: None, reason: format!("gzip: {error}") };
+    let gzip = |error: std::io::Error| Fault::from(format!("gzip: {error}"));
     let mut header = [0; HEADER];
     stream.read_exact(&mut header).map_err(gzip)?;
     let word = |i: usize| u32::from_le_bytes(std::array::from_fn(|byte| header[4 * i + byte]));
     let fields = [header[12], header[13], header[14]];
     if word(0) != MAGIC {
-        return Err(fault(0, format!("found magic {:#010x}, expected {MAGIC:#010x} (\"NGSP\")", word(0))));
+        return fault(0, format!("found magic {:#010x}, expected {MAGIC:#010x} (\"NGSP\")", word(0)));
     }
     if !matches!(word(1), 2 | 3) {
-        return Err(fault(4, format!("found version {}, expected 2 or 3", word(1))));
+        return fault(4, format!("found version {}, expected 2 or 3", word(1)));
     }
     let layout = Layout::of_header(word(1), fields)?;
     let expected = u64::from(word(2)) * layout.gaussian_bytes() as u64;
     // Checked before allocating by the count.
     if expected > ALWAYS_INFLATED.max(MAX_INFLATION * bytes.len() as u64) {
         let reason = format!("found {} Gaussians, which are more than {} bytes can hold", word(2), bytes.len());
-        return Err(fault(8, reason));
+        return fault(8, reason);
     }
-    let mut body = Vec::new(); // Grows with the actual data, not by the header.
+    let mut body = Vec::new();
     stream.by_ref().take(expected).read_to_end(&mut body).map_err(gzip)?;
     if body.len() as u64 != expected {
         let reason = format!("truncated: {} Gaussians take {expected} bytes, found {}", word(2), body.len());
-        return Err(fault(HEADER + body.len(), reason));
+        return fault(HEADER + body.len(), reason);
     }
     // Reads to the end, where the checksum is.
     let (has_extensions, count) = (fields[2] & HAS_EXTENSIONS != 0, body.len());
@@ -136,7 +133,7 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
     let rest = stream.take(most + 1).read_to_end(&mut body).map_err(gzip)? as u64;
     if rest > most {
         let reason = format!("found more than {most} bytes after {} Gaussians, expected the end", word(2));
-        return Err(fault(HEADER + count, reason));
+        return fault(HEADER + count, reason);
     }
     if has_extensions {
         let after = |fault: Fault| Fault { offset: fault.offset.map(|at| HEADER + at), ..fault };

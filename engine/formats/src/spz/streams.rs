@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use ruzstd::decoding::StreamingDecoder;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
-use super::{Fault, HAS_EXTENSIONS, Layout, MAGIC};
+use super::{HAS_EXTENSIONS, Layout, MAGIC, Parsed, fault};
 use crate::Scene;
 
 const VERSION: u32 = 4;
@@ -18,12 +18,6 @@ const ENTRY: usize = 16;
 const MIN_WINDOW: u64 = 8 << 20;
 const COORDINATE_SYSTEM: u32 = 0xadbe_0003;
 const RIGHT_UP_BACK: u32 = 4;
-
-type Parsed<T> = std::result::Result<T, Fault>;
-
-fn fault<T>(offset: usize, reason: String) -> Parsed<T> {
-    Err(Fault { offset: Some(offset), reason })
-}
 
 pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if bytes.len() < HEADER {

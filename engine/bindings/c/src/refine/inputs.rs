@@ -100,7 +100,7 @@ impl Inputs {
             unsafe { image.known_depth() }
         };
         let depths: Vec<Option<Vec<f32>>> = match engine.depth_loss {
-            Some(_) => images.iter().map(depth).collect(),
+            Some(_) => images.iter().map(depth).collect::<Result<_, _>>()?,
             None => Vec::new(),
         };
         if engine.depth_loss.is_some() && depths.iter().all(Option::is_none) {

@@ -95,6 +95,7 @@ atexit.register(calls.end)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 _thread = threading.local()
+on_device_lost: list[Callable[[], None]] = []
 Self = TypeVar("Self", bound="Owner")
 
 
@@ -114,6 +115,9 @@ def call(function: str, *arguments: Any) -> None:
         raise raised
     if status:
         kind = errors.BY_STATUS[status] if status < len(errors.BY_STATUS) else errors.Error
+        if kind is errors.DeviceLostError:
+            for forget in on_device_lost:
+                forget()
         error = kind(message)
         error.status, error.name = status, text(lib.zs_status_name(status))
         raise error
@@ -169,8 +173,12 @@ def structure(kind: str, **values: Any) -> Any:
     """Creates a structure with its size set."""
     made = ffi.new(f"zs_{kind} *")
     made.struct_size = ffi.sizeof(f"zs_{kind}")
+    fields = dict(ffi.typeof(f"zs_{kind}").fields)
     for name, value in values.items():
+        length = getattr(fields[name].type, "length", None)
         try:
+            if length is not None and len(value) != length:
+                raise errors.ArgumentError(f"{name}: found {len(value)} values, expected {length}")
             setattr(made, name, value)
         except OverflowError as error:
             raise errors.ArgumentError(f"{name}: found {value!r}, expected a number in range ({error})") from error

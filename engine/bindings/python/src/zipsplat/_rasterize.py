@@ -114,7 +114,7 @@ def backward(
     to = structure("gradients", **{name: ffi.cast("float *", array.ctypes.data) for name, array in found.items()})
     if of_cameras:
         to.cameras = ffi.cast("float *", moved.ctypes.data)
-    grad_outputs = [None if plane is None else np.ascontiguousarray(plane, np.float32) for plane in weights]
+    grad_outputs = [None if plane is None else np.require(plane, np.float32, ["C", "A"]) for plane in weights]
     if all(plane is None for plane in grad_outputs):
         return found, np.zeros_like(viewmats) if of_cameras else None
     renderer = _renderers.of(arrays, settings.device)

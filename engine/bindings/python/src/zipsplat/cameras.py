@@ -233,7 +233,7 @@ class Capture(Sequence[CaptureView]):
         return cls(Handle("capture", "zs_capture_create", views, len(views)))
 
     def save(self, path: PathLike) -> None:
-        """Writes names and cameras of a whole capture as a transforms.json (nerfstudio).
+        """Writes cameras and photo paths of a whole capture as a transforms.json (nerfstudio).
 
         An existing file is replaced atomically.
         """

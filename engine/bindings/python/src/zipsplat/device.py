@@ -9,7 +9,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Literal, Optional, Protocol, Union
 
-from ._native import Handle, Owner, call, ffi, lib, structure, text
+from ._native import Handle, Owner, call, ffi, lib, on_device_lost, structure, text
 from .cameras import PathLike
 from .errors import NoDeviceError
 
@@ -119,6 +119,7 @@ DeviceLike = Union[Device, int, str, TorchDevice, None]
 
 _lock = threading.Lock()
 _open: dict[str, Device] = {}
+on_device_lost.append(_open.clear)
 
 
 def default_device() -> Device:

@@ -100,7 +100,7 @@ def native(
         if len(arrays) != len(sources):
             raise ArgumentError(f"found {len(arrays)} masks, expected one for each of {len(sources)} images")
     if depths is not None:
-        known = [None if depth is None else np.ascontiguousarray(depth, dtype=np.float32) for depth in depths]
+        known = [None if depth is None else np.require(depth, np.float32, ["C", "A"]) for depth in depths]
         if len(known) != len(sources):
             raise ArgumentError(f"found {len(known)} depths, expected one for each of {len(sources)} images")
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:

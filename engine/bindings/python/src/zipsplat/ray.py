@@ -29,6 +29,7 @@ from .errors import ArgumentError
 from .scene import Format
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")
+REPORT = "report"
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def captures(inputs: list[str], options: Options) -> list[Row]:
     """Finds captures in folders and names them uniquely.
 
     Raises:
-        ArgumentError: an input has none, or two share a name.
+        ArgumentError: an input has none, or a name is taken.
     """
     found: dict[str, Row] = {}
     for place in inputs:
@@ -63,6 +64,10 @@ def captures(inputs: list[str], options: Options) -> list[Row]:
         if not rows:
             raise ArgumentError(f"{place}: found no photos, expected a folder of photos, or a folder of such folders")
         for row in rows:
+            if row.name == REPORT:
+                raise ArgumentError(
+                    f"{place}: found a capture called {REPORT}, expected another name than the report's"
+                )
             if row.name in found:
                 raise ArgumentError(
                     f"{place}: found a second capture called {row.name}, expected a name of its own for each"
@@ -257,7 +262,7 @@ def run(
     report = _report(rows, done, results, time.time() - began)
     failures = [result for result in results if "error" in result]
     _write_failures(store, failures)
-    store.write("report.json", json.dumps(report, indent=2).encode())
+    store.write(f"{REPORT}.json", json.dumps(report, indent=2).encode())
     return report
 
 

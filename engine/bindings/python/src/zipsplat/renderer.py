@@ -66,12 +66,13 @@ class Renderer(Owner):
         quats: npt.ArrayLike,
         opacities: npt.ArrayLike,
         sh_coeffs: npt.ArrayLike,
+        antialiased: bool = False,
     ) -> None:
-        """Replaces the scene by copies of arrays, shaped like Scene's, for loops of an optimizer.
+        """Replaces the scene by copies of arrays, as Scene.from_arrays, for an optimizer.
 
         In place for an equal number of Gaussians and degree.
         """
-        gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs)
+        gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs, antialiased=antialiased)
         call("zs_renderer_update_gaussians", self._handle, gaussians)
 
     def render(

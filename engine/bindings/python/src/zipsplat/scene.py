@@ -149,8 +149,7 @@ class Scene:
         Raises:
             ArgumentError: a shape is invalid, or a value not finite or out of range.
         """
-        gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs)
-        gaussians.antialiased = antialiased
+        gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs, antialiased=antialiased)
         return cls(Handle("scene", "zs_scene_create", gaussians))
 
     @classmethod
@@ -170,7 +169,7 @@ class Scene:
         Example:
             >>> scene = Scene.from_points(points, colors, capture.cameras).refine(capture)
         """
-        points = np.ascontiguousarray(positions, np.float32)
+        points = np.require(positions, np.float32, ["C", "A"])
         paint = None
         if colors is not None:
             given = np.asarray(colors)
@@ -178,7 +177,7 @@ class Scene:
             if given.dtype.kind not in "iu" or not np.array_equal(given, paint):
                 raise ArgumentTypeError(f"colors: found {given.dtype}, expected whole numbers from 0 to 255, as uint8")
         for name, array in (("positions", points), ("colors", points if paint is None else paint)):
-            if array.shape != (len(points), 3) or points.ndim != 2:
+            if points.ndim != 2 or array.shape != (len(points), 3):
                 raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected [N, 3]")
         pointers = (
             ffi.cast("float *", points.ctypes.data),
@@ -320,7 +319,7 @@ class Scene:
             >>> features, weights = scene.lift(patch_features, capture.cameras)
             >>> pictures = scene.render_features(features, capture.cameras[:1])  # [1, height, width, C]
         """
-        arrays = [np.ascontiguousarray(value, np.float32) for value in values]
+        arrays = [np.require(value, np.float32, ["C", "A"]) for value in values]
         channels = {array.shape[-1] for array in arrays if array.ndim == 3}
         if len(arrays) != len(cameras) or len(channels) != 1 or any(array.ndim != 3 for array in arrays):
             shapes = [array.shape for array in arrays]
@@ -350,7 +349,7 @@ class Scene:
         Returns:
             [cameras, height, width, C] float32.
         """
-        rows = np.ascontiguousarray(features, np.float32)
+        rows = np.require(features, np.float32, ["C", "A"])
         sizes = {(camera.height, camera.width) for camera in cameras}
         if rows.ndim != 2 or len(sizes) != 1:
             found = f"features of shape {rows.shape}, cameras of sizes {sorted(sizes)}"
@@ -540,9 +539,9 @@ class Scene:
         return f"<table>{cells}</table>"
 
 
-def native_gaussians(*fields: npt.ArrayLike) -> tuple[Any, list[Array]]:
+def native_gaussians(*fields: npt.ArrayLike, antialiased: bool) -> tuple[Any, list[Array]]:
     """Converts arrays in the order of FIELDS for the library, with references to keep alive."""
-    arrays = [np.ascontiguousarray(field, np.float32) for field in fields]
+    arrays = [np.require(field, np.float32, ["C", "A"]) for field in fields]
     count = len(arrays[0]) if arrays[0].ndim else 0
     bands = math.isqrt(arrays[4].shape[1]) if arrays[4].ndim == 3 else 1
     shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, bands**2, 3)]
@@ -550,7 +549,7 @@ def native_gaussians(*fields: npt.ArrayLike) -> tuple[Any, list[Array]]:
         if array.shape != shape:
             raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
     pointers = {name: ffi.cast("float *", array.ctypes.data) for name, array in zip(FIELDS, arrays)}
-    return structure("gaussians", count=count, sh_degree=bands - 1, **pointers), arrays
+    return structure("gaussians", count=count, sh_degree=bands - 1, antialiased=antialiased, **pointers), arrays
 
 
 def _name(format: Optional[str]) -> Any:

@@ -13,6 +13,7 @@ use glam::DVec3;
 use super::super::camera::{Intrinsics, Pose, matrix_from_quaternion};
 use super::super::{Distortion, Lens, PointCloud, file::read_file};
 use super::{Capture, CaptureView, EQUIRECTANGULAR};
+use crate::fault::{Fault, Parsed};
 use crate::{Error, Result};
 
 /// Models of [`Distortion`]: ID, name, number of parameters (`f, cx, cy` or `fx, fy, cx, cy`, then
@@ -88,22 +89,9 @@ pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
 }
 
 fn find_photo(model: &Path, name: &str) -> Option<PathBuf> {
-    let places = model.ancestors().take(3).flat_map(|folder| [folder.join("images").join(name), folder.join(name)]);
+    let places = model.ancestors().take(4).flat_map(|folder| [folder.join("images").join(name), folder.join(name)]);
     places.into_iter().find(|path| path.is_file())
 }
-
-struct Fault {
-    offset: Option<u64>,
-    reason: String,
-}
-
-impl Fault {
-    fn in_file(self, path: &Path) -> Error {
-        Error::format(path, self.offset, self.reason)
-    }
-}
-
-type Parsed<T> = std::result::Result<T, Fault>;
 
 type Point = ([f32; 3], [u8; 3]);
 
@@ -158,7 +146,7 @@ struct Line<'a> {
 
 impl<'a> Line<'a> {
     fn fault(&self, reason: impl std::fmt::Display) -> Fault {
-        Fault { offset: None, reason: format!("line {}: {reason}", self.number) }
+        format!("line {}: {reason}", self.number).into()
     }
 
     fn next<T: std::str::FromStr>(&mut self, field: &str) -> Parsed<T> {
@@ -169,8 +157,7 @@ impl<'a> Line<'a> {
 }
 
 fn lines(bytes: &[u8]) -> Parsed<impl Iterator<Item = Line<'_>>> {
-    let text = std::str::from_utf8(bytes)
-        .map_err(|error| Fault { offset: Some(error.valid_up_to() as u64), reason: "not UTF-8 text".into() })?;
+    let text = std::str::from_utf8(bytes).map_err(|error| Fault::at(error.valid_up_to(), "not UTF-8 text".into()))?;
     Ok(text.lines().enumerate().map(|(i, line)| {
         let text = line.trim();
         Line { number: i + 1, text, fields: text.split_ascii_whitespace() }
@@ -233,7 +220,7 @@ struct Values<'a> {
 
 impl<'a> Values<'a> {
     fn fault(&self, reason: impl Into<String>) -> Fault {
-        Fault { offset: Some(self.at as u64), reason: reason.into() }
+        Fault::at(self.at, reason.into())
     }
 
     fn take<const N: usize>(&mut self, field: &str) -> Parsed<[u8; N]> {
