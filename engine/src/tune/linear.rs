@@ -56,8 +56,9 @@ impl Operation for LinearLayers {
             Candidate::Units(units, tile) => tile.sides(units),
         };
         let (kernel, rows, columns) = (kernel(candidate), rows + 3, columns + 8);
-        let mut cases = vec![(Activation::None, kernel, 72), (Activation::Gelu, kernel, 72)];
-        cases.extend(columns.is_multiple_of(8).then_some((Activation::SwiGlu, kernel, 72)));
+        // Partial steps of the sums, sums in parts, whole steps.
+        let mut cases = vec![(Activation::None, kernel, 72), (Activation::Gelu, kernel, 2048)];
+        cases.extend(columns.is_multiple_of(8).then_some((Activation::SwiGlu, kernel, 128)));
         cases.extend(kernel.with_q8().map(|q8| (Activation::None, q8, 96)));
         let mut worst = Some(0.0);
         for (activation, kernel, inner) in cases {
