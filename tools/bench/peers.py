@@ -13,7 +13,7 @@ OpenSplat ignores principal points: its crops have eval's scale but are centered
 the few rows or columns that the photo lacks. Sides are multiples of 4, since training starts at a
 quarter of the size. By default it doubles the size after 3,000 and 6,000 steps. On one thread, 200
 steps measure its speed for the shortest time. Runs are repeated with corrected numbers of steps
-until one ends with at least 85 % of the CPU time. At the limit a run is killed; its last saved
+until one ends with at least 0.85 of the CPU time. At the limit a run is killed; its last saved
 scene counts if no run ends in time. For zipsplat's black background, build OpenSplat with zeros as
 backgroundColor in model.hpp.
 """
@@ -32,7 +32,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from command import timed, zipsplat
+from command import digest, timed, zipsplat
 from PIL import Image
 
 SHOWN = 12  # largest number of held-out photos in eval's comparison.png
@@ -194,10 +194,15 @@ def main():
     args = arguments()
     lines = ["| capture | time | system | CPU time | steps | Gaussians | PSNR | SSIM |", "|---|---|---|---|---|---|---|---|"]
     print("\n".join(lines), flush=True)
+    shared = args.views, args.size, args.options
+    systems = {
+        "ours": digest(*shared),
+        "opensplat": digest(*shared, args.opensplat_options, args.resolution_part),
+    }
     for capture in args.captures:
         peer = None
         for seconds in args.seconds:
-            folders = [args.out / f"{capture.name}.{seconds}.{system}" for system in ("ours", "opensplat")]
+            folders = [args.out / f"{capture.name}.{seconds}.{system}.{settings}" for system, settings in systems.items()]
             ours = finished(folders[0], lambda place: refine(args, capture, seconds, place))  # noqa: B023
             peer = finished(folders[1], lambda place: opensplat(args, capture, ours, peer, place))  # noqa: B023
             for system, said in (("ours", ours), ("OpenSplat", peer)):
