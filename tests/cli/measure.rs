@@ -92,8 +92,8 @@ fn a_step_is_measured_beside_its_picture() {
     }
     let text = Folder::new().run("bench refine --gaussians 50 --size 32x32 --warmup 0 --repeats 1").success();
     assert!(text.contains("of bandwidth") && text.contains("render/rasterize_backward"), "{text}");
-    Folder::new().run("bench refine --sh 2 --pytorch").fails(3, &["--sh", "0 or 1"]);
-    Folder::new().run("bench refine --pytorch=no-such-python").fails(3, &["--pytorch", "no-such-python", "numba"]);
+    Folder::new().run("bench refine --sh 2 --pytorch python3").fails(3, &["--sh", "0 or 1"]);
+    Folder::new().run("bench refine --pytorch no-such-python").fails(3, &["--pytorch", "no-such-python", "numba"]);
 }
 
 /// One Python prints its request, one fails.
@@ -281,7 +281,7 @@ fn effects_are_measured_off_and_on() {
 fn gsplat_that_is_missing_is_named() {
     let line = "bench render --gaussians 50 --size 32x32 --warmup 0 --repeats 1";
     let folder = Folder::new();
-    folder.run(&format!("{line} --gsplat=no-such-python")).fails(3, &["--gsplat", "no-such-python", "a CUDA GPU"]);
+    folder.run(&format!("{line} --gsplat no-such-python")).fails(3, &["--gsplat", "no-such-python", "a CUDA GPU"]);
 }
 
 #[test]

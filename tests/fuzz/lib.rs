@@ -54,6 +54,11 @@ pub fn camera_path(bytes: &[u8]) {
     sound(Capture::open_cameras(stored("cameras.json", bytes), &lens));
 }
 
+pub fn realestate(bytes: &[u8]) {
+    stored("0.png", include_bytes!("../data/pre_up_120x97.png"));
+    sound(Capture::open(stored("video.txt", &[b"http\n".as_slice(), bytes].concat())));
+}
+
 /// A COLMAP model with files of `extension`. The first two bytes are the images file's length.
 pub fn colmap(extension: &str, bytes: &[u8]) {
     let Some(([low, high], rest)) = bytes.split_first_chunk::<2>().map(|(length, rest)| (*length, rest)) else {

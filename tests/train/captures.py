@@ -20,7 +20,7 @@ import torch
 from safetensors.numpy import save_file
 
 from captures import Captures, farthest
-from data import Pool, record, unproject
+from data import Pool, Shards, generator_command, record, unproject
 
 VIEWS, SIZE = 4, 56
 
@@ -109,15 +109,19 @@ def check_left_out(zipsplat, folder):
         with contextlib.redirect_stderr(said):
             records([("re10k", broken, None)], 8)
         assert "left out video2" in said.getvalue() and reason in said.getvalue(), (reason, said.getvalue())
-    # Without any scene left, the waiting reader raises.
-    shutil.rmtree(broken / "video3" / "depth")
+    shutil.rmtree(broken / "video4" / "depth")
     with contextlib.redirect_stderr(io.StringIO()):
-        pool = Pool(Captures([("re10k", broken, None)], record(VIEWS, SIZE, SIZE), [6, 8], 1), 8, "cpu")
-        try:
-            pool.fill(8)
-            raise AssertionError("found scenes where none can be read")
-        except RuntimeError as error:
-            assert "no scene that can be read" in str(error), error
+        check_raised(Captures([("re10k", broken, None)], record(VIEWS, SIZE, SIZE), [6, 8], 1), "no scene that can be read")
+    check_raised(Shards(generator_command(Path(zipsplat), SIZE, VIEWS, 1, scenes=4)), "the stream of scenes ended")
+
+
+def check_raised(stream, words):
+    """Checks that a stream's error reaches the waiting pool."""
+    try:
+        Pool(stream, 8, "cpu").fill(8)
+        raise AssertionError("found scenes of a stream without them")
+    except RuntimeError as error:
+        assert words in str(error), error
 
 
 def main(zipsplat, folder):

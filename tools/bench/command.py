@@ -1,5 +1,6 @@
 """Runs zipsplat: the command line in $ZIPSPLAT, by default the checkout's script."""
 
+import hashlib
 import json
 import os
 import shlex
@@ -17,6 +18,11 @@ def zipsplat(*words):
         line = run.stderr.strip().splitlines()[-1]
         raise RuntimeError(json.loads(line)["error"] if line.startswith("{") else line)
     return json.loads(run.stdout)["result"]
+
+
+def digest(*settings):
+    """Names a run's folder by its settings."""
+    return hashlib.sha256(repr(settings).encode()).hexdigest()[:8]
 
 
 def timed(work, *words):

@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Measures estimated cameras: estimated_cameras.py [--python PYTHON] CAPTURE...
 
 For each folder with transforms.json and images, estimates cameras (`zipsplat cameras`) and aligns
@@ -62,7 +63,7 @@ def row(capture, folder, options):
             f"{seconds:.0f} s"]
 
 
-parser = argparse.ArgumentParser()
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("captures", nargs="+", type=Path)
 parser.add_argument("--python")
 options = parser.parse_args()

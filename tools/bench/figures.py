@@ -20,7 +20,7 @@ RATIOS = ["1", "0.5", "0.25", "0.1", "0.01"]
 
 
 def main():
-    if len(sys.argv) != 2:
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
         sys.exit(__doc__)
     out = Path(sys.argv[1])
     place, camera = out / "place", out / "camera.json"

@@ -32,7 +32,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from command import timed, zipsplat
+from command import digest, timed, zipsplat
 from PIL import Image
 
 SHOWN = 12  # largest number of held-out photos in eval's comparison.png
@@ -194,10 +194,15 @@ def main():
     args = arguments()
     lines = ["| capture | time | system | CPU time | steps | Gaussians | PSNR | SSIM |", "|---|---|---|---|---|---|---|---|"]
     print("\n".join(lines), flush=True)
+    shared = args.views, args.size, args.options
+    systems = {
+        "ours": digest(*shared),
+        "opensplat": digest(*shared, args.opensplat_options, args.resolution_part),
+    }
     for capture in args.captures:
         peer = None
         for seconds in args.seconds:
-            folders = [args.out / f"{capture.name}.{seconds}.{system}" for system in ("ours", "opensplat")]
+            folders = [args.out / f"{capture.name}.{seconds}.{system}.{settings}" for system, settings in systems.items()]
             ours = finished(folders[0], lambda place: refine(args, capture, seconds, place))  # noqa: B023
             peer = finished(folders[1], lambda place: opensplat(args, capture, ours, peer, place))  # noqa: B023
             for system, said in (("ours", ours), ("OpenSplat", peer)):

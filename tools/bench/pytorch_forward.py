@@ -8,41 +8,21 @@ peak memory in bytes. Weights are random.
 
 import argparse
 import gc
-import json
-import time
 
 import torch
 
 import model as network
+from timing import DEVICE, measure, report
 from weights import Architecture
 
 
-def precisions(device, chosen):
-    """Returns {name: (autocast type, TensorFloat-32, torch.compile)} for the device."""
-    known = {
-        "f32": (None, False, False),
-        "tf32": (None, True, False),
-        "bf16": (torch.bfloat16, True, False),
-        "bf16-compiled": (torch.bfloat16, True, True),
-    }
-    names = chosen or (list(known) if device == "cuda" else ["f32", "bf16"])
-    return {name: known[name] for name in names}
-
-
-def measure(forward, device, warmup, repeats):
-    def synchronize():
-        if device == "cuda":
-            torch.cuda.synchronize()
-
-    times = []
-    for run in range(warmup + repeats):
-        synchronize()
-        started = time.perf_counter()
-        forward()
-        synchronize()
-        if run >= warmup:
-            times.append(1e3 * (time.perf_counter() - started))
-    return times
+# Autocast type, TensorFloat-32, torch.compile.
+PRECISIONS = {
+    "f32": (None, False, False),
+    "tf32": (None, True, False),
+    "bf16": (torch.bfloat16, True, False),
+    "bf16-compiled": (torch.bfloat16, True, True),
+}
 
 
 @torch.inference_mode()
@@ -55,42 +35,40 @@ def main():
     parser.add_argument("--size", required=True, type=lambda text: [int(part) for part in text.split("x")])
     parser.add_argument("--warmup", type=int, default=5)
     parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--precision", nargs="*", help="f32, tf32, bf16, bf16-compiled; default all of the device")
     args = parser.parse_args()
 
-    device = "cuda" if torch.cuda.is_available() else "cpu"
     width, height = args.size
-    with torch.device(device):  # on a GPU for speed
+    with torch.device(DEVICE):  # on a GPU for speed
         model = network.ZipSplat(Architecture.from_json(args.architecture)).eval()
     rows = []
-    for name, (autocast, tf32, compiled) in precisions(device, args.precision).items():
+    for name in PRECISIONS if DEVICE == "cuda" else ("f32", "bf16"):
+        autocast, tf32, compiled = PRECISIONS[name]
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = tf32
         if compiled:
             # By block, as in training: the whole model would recompile for every number of views.
             for kind in (network.Block, network.CrossBlock):
                 kind.forward = torch.compile(kind.forward, dynamic=True)
         for views, ratio in zip(args.views, args.ratio):
-            images = torch.rand(1, views, 3, height, width, device=device)
-            if device == "cuda":
+            images = torch.rand(1, views, 3, height, width, device=DEVICE)
+            if DEVICE == "cuda":
                 gc.collect()
                 torch.cuda.empty_cache()
                 torch.cuda.reset_peak_memory_stats()
 
             def forward():
-                with torch.autocast(device, autocast, enabled=autocast is not None):
+                with torch.autocast(DEVICE, autocast, enabled=autocast is not None):
                     model(images, ratio)
 
             row = {"precision": name, "views": views, "ratio": ratio}
             try:
-                row["ms"] = measure(forward, device, args.warmup, args.repeats)
-                row["peak_bytes"] = torch.cuda.max_memory_allocated() if device == "cuda" else None
+                row["ms"] = measure(forward, args.warmup, args.repeats)
+                row["peak_bytes"] = torch.cuda.max_memory_allocated() if DEVICE == "cuda" else None
             except torch.cuda.OutOfMemoryError:
                 row["failed"] = "out of memory"
             except Exception as error:  # a compiler failure only costs its rows
                 row["failed"] = f"{type(error).__name__}: {error}".splitlines()[0]
             rows.append(row)
-    name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
-    print(json.dumps({"device": name, "torch": torch.__version__, "rows": rows}))
+    report(rows)
 
 
 if __name__ == "__main__":

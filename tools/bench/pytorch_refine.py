@@ -8,9 +8,7 @@ The cameras are those of `zipsplat bench refine`: near the origin, along z, each
 as it is distant.
 """
 
-import json
 import sys
-import time
 
 try:
     import numpy  # noqa: F401
@@ -27,21 +25,21 @@ import torch.nn.functional as F
 
 from rasterize import rasterize
 from scene import read_ply
+from timing import DEVICE, measure, report
 
 path = sys.argv[1]
 width, height, photos, warmup, repeats = map(int, sys.argv[2:7])
-device = "cuda" if torch.cuda.is_available() else "cpu"
-*values, degree = read_ply(path, device)
+*values, degree = read_ply(path, DEVICE)
 parameters = [value.contiguous().requires_grad_() for value in values]
 rates = (5e-3, 0.1, 0.03, 0.2, 0.03)
 adam = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in zip(parameters, rates)], eps=1e-15)
 
 focal = float(max(width, height))
-views = torch.eye(4, device=device).repeat(1, photos, 1, 1)
-views[0, :, 0, 3] = -0.01 * torch.arange(photos, device=device)
-intrinsics = torch.tensor([focal, focal, width / 2, height / 2], device=device).repeat(1, photos, 1)
-targets = torch.rand(photos, 3, height, width, device=device)
-taps = torch.exp(-((torch.arange(11, device=device) - 5.0) ** 2) / 4.5)
+views = torch.eye(4, device=DEVICE).repeat(1, photos, 1, 1)
+views[0, :, 0, 3] = -0.01 * torch.arange(photos, device=DEVICE)
+intrinsics = torch.tensor([focal, focal, width / 2, height / 2], device=DEVICE).repeat(1, photos, 1)
+targets = torch.rand(photos, 3, height, width, device=DEVICE)
+taps = torch.exp(-((torch.arange(11, device=DEVICE) - 5.0) ** 2) / 4.5)
 taps = (taps / taps.sum()).expand(3, 1, 1, 11)
 
 
@@ -77,21 +75,6 @@ def step():
     adam.step()
 
 
-def measure(run):
-    times = []
-    for i in range(warmup + repeats):
-        if device == "cuda":
-            torch.cuda.synchronize()
-        started = time.perf_counter()
-        run()
-        if device == "cuda":
-            torch.cuda.synchronize()
-        if i >= warmup:
-            times.append(1e3 * (time.perf_counter() - started))
-    return times
-
-
 forward(), step()  # compiles
-name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
-rows = [{"what": "picture", "ms": measure(forward)}, {"what": "step", "ms": measure(step)}]
-print(json.dumps({"device": name, "torch": torch.__version__, "rows": rows}))
+works = {"picture": forward, "step": step}
+report([{"what": what, "ms": measure(work, warmup, repeats)} for what, work in works.items()])

@@ -29,23 +29,24 @@ read -ra views <<< "${VIEWS:-24 48 96 192}"
 scenes=${SCENES:-36000,102000,500000,2000000,6000000}
 parts=${PARTS:-device peak tune forward render refine doctor pytorch gsplat}
 mkdir -p "$out"
-rm -f "$out"/*.json "$out"/*.log
 
 # report NAME ARGS...: writes the command's result to NAME.json, its messages to NAME.log.
 report() {
   local name=$out/$1
   [[ " $parts " == *" ${1%%-*} "* ]] || return 0
+  rm -f "$name.json" "$name.log"
   if ((SECONDS > 60 * ${MINUTES:-10})); then
     echo "left out: the budget was spent" > "$name.log"
     return 0
   fi
   say "${*:2}"
-  timeout "${PATIENCE:-120}" "${program[@]}" "${@:2}" --json > "$name.json" 2> "$name.log" ||
-    { say "failed, see $name.log"; rm "$name.json"; }
+  timeout "${PATIENCE:-120}" "${program[@]}" "${@:2}" --json > "$name.part" 2> "$name.log" || say "failed, see $name.log"
+  if [[ -s $name.part ]]; then mv "$name.part" "$name.json"; else rm "$name.part"; fi
 }
 
 forward=(bench forward --weights "${WEIGHTS:-seeded:vitg}" ${SIZE:+--input-size "$SIZE"} "${runs[@]}")
 render=(bench render --gaussians "$scenes" --size 252x252,1920x1080,3840x2160 --sh 1 "${runs[@]}")
+SECONDS=0 # without set-up and build
 report device doctor list
 for _ in 1 2 3; do report peak bench peak; done # until the clock is at its highest
 report tune doctor tune
@@ -61,6 +62,6 @@ if [[ -n ${PYTHON:-} ]]; then
   for count in "${views[@]}"; do
     report "pytorch-$count" "${forward[@]}" --views "$count" --ratio 1,auto --pytorch "$PYTHON"
   done
-  if "$PYTHON" -c 'import gsplat' 2> /dev/null; then report gsplat "${render[@]}" "--gsplat=$PYTHON"; fi
+  if "$PYTHON" -c 'import gsplat' 2> /dev/null; then report gsplat "${render[@]}" --gsplat "$PYTHON"; fi
 fi
 python3 "$here/tables.py" "$out"

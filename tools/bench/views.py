@@ -18,7 +18,7 @@ from pathlib import Path
 from statistics import fmean
 
 import matplotlib.pyplot as plt
-from command import COMMAND, timed, zipsplat
+from command import COMMAND, digest, timed, zipsplat
 
 STAGES = {"backbone": "#264653", "cluster": "#e9c46a", "fuse": "#2a9d8f", "gaussians": "#e76f51"}
 COLUMNS = {
@@ -63,7 +63,8 @@ def draw(scene, pictures):
 
 def run(args, capture, views, ratio, pool):
     """Returns the values of COLUMNS. Differences of two commands leave out their other work."""
-    folder = args.out / (f"{capture.name}.{views}.{ratio}" + ("" if pool == "1" else f".{pool}"))
+    settings = digest(args.size, args.targets, args.options, args.cpu)
+    folder = args.out / f"{capture.name}.{views}.{ratio}.{pool}.{settings}"
     path, scene = folder / "run.json", folder / "scene.ply"
     if path.exists():
         return json.loads(path.read_text())

@@ -190,7 +190,7 @@ fn check_name(name: &str) -> Result<()> {
         return Ok(());
     }
     let names: Vec<&str> = RELEASED.iter().map(|released| released.name).collect();
-    let expected = format!("a file, built-in, seeded:NAME, or one of {}", names.join(", "));
+    let expected = format!("a file, builtin, seeded:NAME, or one of {}", names.join(", "));
     Err(Error::argument("weights", name, expected))
 }
 

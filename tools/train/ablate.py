@@ -3,8 +3,8 @@
     python tools/train/ablate.py --config tools/train/da3s.json --out DIR --lpips FILE \\
         --backbone da3-small/model.safetensors --data re10k:RE10K/train --depths DEPTHS
 
-The rows follow the paper's tables 4b and 4c. Finished runs are skipped. Options that are not listed
-go to train.py.
+The rows follow the paper's tables 4b and 4c. Finished runs are skipped, others resumed.
+Other options go to train.py.
 """
 
 import argparse
@@ -45,12 +45,16 @@ def main():
     def run(i, seed):
         """Returns the scores of a variant, trained unless it is there."""
         out = args.out / f"{i:02}-{seed}"
-        if not (out / "model.safetensors").exists():
+        finished = out / "scores.json"
+        if not finished.exists():
             changes = {**list(VARIANTS.values())[i], "seed": seed}
             sets = [part for name, value in changes.items() for part in ("--set", f"{name}={json.dumps(value)}")]
-            subprocess.run([sys.executable, TRAIN, "--config", args.config, "--out", out, *options, *sets], check=True, stdout=sys.stderr)
-        with safe_open(out / "model.safetensors", "np") as file:
-            return json.loads(file.metadata()["zipsplat.training"])["unseen_psnr"]
+            resume = ["--resume", out] if (out / "state.pt").exists() else []
+            command = [sys.executable, TRAIN, "--config", args.config, "--out", out, *options, *sets, *resume]
+            subprocess.run(command, check=True, stdout=sys.stderr)
+            with safe_open(out / "model.safetensors", "np") as file:
+                finished.write_text(json.dumps(json.loads(file.metadata()["zipsplat.training"])["unseen_psnr"]))
+        return json.loads(finished.read_text())
 
     chosen = args.only or range(len(VARIANTS))
     # Seed by seed: an interrupted ablation has whole rows.

@@ -1,5 +1,6 @@
 """Photos with cameras and depth (RealEstate10K, DL3DV) as records like the generator's."""
 
+import hashlib
 import json
 import sys
 from collections import namedtuple
@@ -16,7 +17,7 @@ EXTENSIONS = ("", ".png", ".jpg", ".jpeg", ".webp", ".JPG", ".PNG")
 Frame = namedtuple("Frame", "photo lens pose depth")
 # Depth file of `zipsplat depth`.
 DEPTHS = "depths.safetensors"
-# One scene in this many is for validation, at least one if there are two.
+# One scene in about this many is for validation, at least one.
 UNSEEN = 32
 READERS = 4
 
@@ -109,7 +110,10 @@ class Captures:
         if not files:
             raise SystemExit(f"{folder}: found no scene of {kind}, expected {expected}")
         names = sorted(files)
-        kept = names[::-UNSEEN] if len(names) > 1 else names
+        digests = {name: hashlib.blake2b(name.encode()).digest() for name in names}
+        kept = [name for name in names if digests[name][0] < 256 // UNSEEN] or [min(names, key=digests.get)]
+        if unseen and kept == names:
+            print(f"{folder}: found only {', '.join(names)}, for training and validation", file=sys.stderr, flush=True)
         chosen = kept if unseen else [name for name in names if name not in kept] or names
         return [(name, read, files[name], depths and depths / name) for name in chosen]
 

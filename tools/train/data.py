@@ -35,9 +35,10 @@ def record(views, height, width):
 
 
 class Shards:
-    """A stream of records; their layout is documented in tools/src/procedural/shards.rs."""
+    """A stream of records in the layout of tools/src/procedural/shards.rs; endless for 0 scenes."""
 
-    def __init__(self, command, log=subprocess.DEVNULL):
+    def __init__(self, command, scenes=0, log=subprocess.DEVNULL):
+        self.scenes = scenes
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log)
         header = np.frombuffer(self.process.stdout.read(HEADER.itemsize), HEADER)
         if len(header) == 0 or (header["magic"][0], header["format"][0]) != (MAGIC, FORMAT):
@@ -49,6 +50,8 @@ class Shards:
         view, filled = memoryview(buffer), 0
         while filled < len(view) and (count := self.process.stdout.readinto(view[filled:])):
             filled += count
+        if filled < len(view) and not self.scenes:
+            raise RuntimeError(f"{' '.join(self.process.args)}: the stream of scenes ended")
         return filled // self.record.itemsize
 
     def close(self):
@@ -58,7 +61,7 @@ class Shards:
 
 def generator_command(zipsplat, size, views, first_seed, textures=None, scenes=None):
     # Training has priority on the CPU: the pool already holds scenes.
-    command = ["nice", "-n", "5", zipsplat, "scene", "--shards", "-", "--views", str(views), "--size", f"{size}x{size}"]
+    command = ["nice", "-n", "5", str(zipsplat), "scene", "--shards", "-", "--views", str(views), "--size", f"{size}x{size}"]
     command += ["--first-seed", str(first_seed)]
     command += ["--textures", textures] if textures else []
     return command + (["--scenes", str(scenes)] if scenes else [])

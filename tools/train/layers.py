@@ -3,6 +3,7 @@
 Shapes: B scenes, n tokens, D width.
 """
 
+import math
 from functools import cache
 
 import torch
@@ -60,6 +61,15 @@ class PatchEmbed(nn.Module):
     def forward(self, images):
         """[N, 3, H, W] -> [N, T, D]"""
         return self.proj(images).flatten(2).transpose(1, 2)
+
+
+def resampled(learned, rows, columns, weights):
+    """Position embeddings, resampled by `weights` along each axis."""
+    grid = math.isqrt(learned.shape[1])
+    if rows == columns == grid:
+        return learned
+    y, x = (weights(size, grid, learned.dtype, learned.device) for size in (rows, columns))
+    return torch.einsum("ip,jq,pqd->ijd", y, x, learned[0].unflatten(0, (grid, grid))).flatten(0, 1)[None]
 
 
 def rotate(x, rope):

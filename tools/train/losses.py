@@ -207,7 +207,7 @@ def seen(means, pictures, batch, weights, config, perceptual):
     }
     if weights["chamfer"]:
         parts["chamfer"] = chamfer(means, batch.points, ~pictures.reached, config["chamfer_gaussians"], config["robust"])
-    if perceptual is not None:
+    if perceptual is not None and weights["perceptual"]:
         parts["perceptual"] = perceptual(rgb, truth)
     elif weights["ssim"] or weights["gradient"]:
         parts["ssim"] = 1 - ssim(rgb, truth)

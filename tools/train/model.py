@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from layers import Block, CrossBlock, Mlp, PatchEmbed, Recomputed, SwiGlu, rope_table
+from layers import Block, CrossBlock, Mlp, PatchEmbed, Recomputed, SwiGlu, resampled, rope_table
 from vggt import Aggregator
 
 BACKBONE_EPS = 1e-6
@@ -36,15 +36,6 @@ class VisionTransformer(nn.Module):
         )
         self.norm = nn.LayerNorm(a.width, BACKBONE_EPS)
 
-    def position_embedding(self, rows, columns):
-        """[1, rows * columns, D]: resampled as in the reference (bicubic, +0.1 on the scale)."""
-        grid = self.architecture.position_grid
-        learned = self.pos_embed[:, 1:]
-        if (rows, columns) == (grid, grid):
-            return learned
-        y, x = (cubic_weights(size, grid, learned.dtype, learned.device) for size in (rows, columns))
-        return torch.einsum("ip,jq,pqd->ijd", y, x, learned[0].unflatten(0, (grid, grid))).flatten(0, 1)[None]
-
     def forward(self, images, camera_tokens, taps):
         """[B, V, 3, H, W] -> for each of `out_layers`: (local, global) patch tokens [B, V, T, D].
 
@@ -53,7 +44,8 @@ class VisionTransformer(nn.Module):
         a = self.architecture
         b, v = images.shape[:2]
         rows, columns = (side // a.patch for side in images.shape[-2:])
-        patches = self.patch_embed(images.flatten(0, 1)) + self.position_embedding(rows, columns)
+        positions = resampled(self.pos_embed[:, 1:], rows, columns, cubic_weights)
+        patches = self.patch_embed(images.flatten(0, 1)) + positions
         cls = (self.cls_token + self.pos_embed[:, :1]).expand(b * v, -1, -1)
         x = torch.cat((cls, patches), 1).unflatten(0, (b, v))
         if camera_tokens is None:
@@ -82,7 +74,7 @@ class VisionTransformer(nn.Module):
 
 @cache
 def cubic_weights(size, grid, dtype, device):
-    """[size, grid] weights of cubic convolution (A = -0.75)."""
+    """[size, grid] weights of cubic convolution (A = -0.75), with the reference's +0.1 on the size."""
     a = -0.75
     source = (torch.arange(size, dtype=torch.float64) + 0.5) / ((size + 0.1) / grid) - 0.5
     base = source.floor()

@@ -19,7 +19,8 @@ class Optimizer:
         for name, p in model.named_parameters():
             (matrices if config["muon"] and p.ndim == 2 and not name.endswith(ENDS) else rest).append(p)
             shares[p] = next((config[setting] for setting, prefix in SHARES.items() if name.startswith(prefix)), 1.0)
-        self.parameters = list(model.parameters())
+        self.parameters = list(shares)
+        self.trained = [p for p in shares if shares[p]]
 
         def groups(parameters, decay):
             """One group per share of the rate."""
@@ -36,7 +37,7 @@ class Optimizer:
     @torch.no_grad()
     def step(self, rate, clip):
         """Clips gradients to the norm `clip`, updates the weights and returns the norm."""
-        norm = full(torch.nn.utils.clip_grad_norm_(self.parameters, clip))
+        norm = full(torch.nn.utils.clip_grad_norm_(self.trained, clip))
         for p in self.parameters:
             p.grad.nan_to_num_(0, 0, 0)  # skips a non-finite step without a readback
         for optimizer in filter(None, (self.adamw, self.muon)):

@@ -59,6 +59,10 @@ def validate(config):
     if a["family"] == "vggt":
         expect("priors", config["priors"], config["priors"] == 0, "0, since VGGT has no known cameras as input")
     expect("architecture.family", a["family"], a["family"] in ("da3", "vggt"), "da3 or vggt")
+    warmup, size, evaluated = config["warmup"], config["size"], config["evaluate"][0]
+    expect("warmup", warmup, 0 < warmup < 1, "a fraction between 0 and 1")
+    expect("size", size, size % a["patch"] == 0, f"a multiple of the patch size, {a['patch']}")
+    expect("evaluate", config["evaluate"], evaluated < config["record_views"], f"fewer views than record_views, {config['record_views']}")
     for name in ("progressive", "ratio_step"):
         expect(name, config[name], 0 <= float(config[name]) <= 1, "a fraction, 0 to 1")
     scenes, views = config["batch_scenes"], config["batch_views"]

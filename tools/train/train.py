@@ -48,9 +48,9 @@ from parallel import device_of_process, distribute, full_state, rank_and_process
 from schedule import Schedule, read_config
 
 ROOT = Path(__file__).resolve().parents[2]
-# Seeds: training from 0, its second process from 2^36, validation from 2^40.
+# Seeds: training from 0, its second process from 2^32, validation from 2^40.
 UNSEEN_SEED = 1 << 40
-SEEDS_A_PROCESS = 1 << 36
+SEEDS_A_PROCESS = 1 << 32
 
 
 class Trainer:
@@ -59,8 +59,6 @@ class Trainer:
         self.rank, self.processes = rank_and_processes()
         self.device = device_of_process()
         torch.manual_seed(config["seed"])
-        # Processes draw the same numbers of views.
-        self.rng = random.Random(config["seed"])
         self.out = Path(args.out)
         (self.out / "samples").mkdir(parents=True, exist_ok=True)
         self.step = self.samples = self.first_seed = self.steps_before = 0
@@ -72,6 +70,8 @@ class Trainer:
         self.architecture = files.Architecture.from_json(json.dumps(config["architecture"]))
         model = ZipSplat(self.architecture, config["queries"], config["recompute"])
         state = self.begin(model)
+        # Processes draw the same numbers of views.
+        self.rng = random.Random(config["seed"] + self.step)
         model.to(self.device)
         average = copy.deepcopy(model).eval().requires_grad_(False) if config["ema"] else model
         if state and config["ema"]:
@@ -87,9 +87,10 @@ class Trainer:
         self.schedule = Schedule(config)
 
         # Initial weights are equal in all processes, later random numbers differ.
-        torch.manual_seed(config["seed"] + self.rank)
+        torch.manual_seed(config["seed"] + self.rank + self.step)
 
-        self.shards = self.stream(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"])
+        first_seed = 0 if config["scenes"] else self.first_seed
+        self.shards = self.stream(first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"])
         capacity = config["scenes"] or int(config["pool_gb"] * 1e9 / self.shards.record.itemsize)
         self.pool = Pool(self.shards, capacity, self.device, reuse=config["reuse"])
         self.evaluated = self.pool
@@ -106,7 +107,7 @@ class Trainer:
             sources = [(*source, args.depths) for source in args.data]
             return Captures(sources, record(views, size, size), self.config["gap"], seed, scenes or None, unseen)
         command = generator_command(args.zipsplat, size, views, seed, args.textures, scenes)
-        return Shards(command, open(self.out / "generator.log", "ab"))
+        return Shards(command, scenes, open(self.out / "generator.log", "ab"))
 
     def done(self):
         """Returns the completed fraction of the run."""
@@ -318,7 +319,7 @@ def main():
     parser.add_argument("--zipsplat", default=ROOT / "target/release/zipsplat", help="command that generates scenes")
     parser.add_argument("--data", type=source, action="append", metavar="KIND:FOLDER",
                         help="photos instead of generated scenes: re10k or dl3dv; repeat for a mixture")  # fmt: skip
-    parser.add_argument("--depths", type=Path, help="FOLDER/SCENE/NAME.npy for --data; default depth/ next to the photos")
+    parser.add_argument("--depths", type=Path, help="FOLDER/SCENE/NAME.npy or depths.safetensors; default depth/ next to the photos")
     parser.add_argument("--textures", help="folder of photo crops for the generator")
     parser.add_argument("--lpips", help="lpips_vgg.safetensors by tools/lpips.py; enables the perceptual loss")
     parser.add_argument(

@@ -8,7 +8,7 @@ from functools import cache
 import torch
 from torch import nn
 
-from layers import Block, Mlp, PatchEmbed, rope_table
+from layers import Block, Mlp, PatchEmbed, resampled, rope_table
 
 REGISTERS = 4
 EMBEDDING_EPS, EPS = 1e-6, 1e-5
@@ -25,7 +25,6 @@ class Embedding(nn.Module):
 
     def __init__(self, a):
         super().__init__()
-        self.grid = a.position_grid
         self.cls_token = nn.Parameter(torch.zeros(1, 1, a.width))
         self.register_tokens = nn.Parameter(torch.zeros(1, REGISTERS, a.width))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + a.position_grid**2, a.width))
@@ -33,17 +32,9 @@ class Embedding(nn.Module):
         self.blocks = blocks(a, a.alt_start, False, EMBEDDING_EPS)
         self.norm = nn.LayerNorm(a.width, EMBEDDING_EPS)
 
-    def positions(self, rows, columns):
-        """[1, rows * columns, D]"""
-        learned = self.pos_embed[:, 1:]
-        if rows == columns == self.grid:
-            return learned
-        y, x = (cubic_weights(size, self.grid, learned.dtype, learned.device) for size in (rows, columns))
-        return torch.einsum("ip,jq,pqd->ijd", y, x, learned[0].unflatten(0, (self.grid, self.grid))).flatten(0, 1)[None]
-
     def forward(self, images, rows, columns, taps):
         """Normalized [N, 3, H, W] -> patch tokens [N, T, D]"""
-        patches = self.patch_embed(images) + self.positions(rows, columns)
+        patches = self.patch_embed(images) + resampled(self.pos_embed[:, 1:], rows, columns, cubic_weights)
         special = torch.cat((self.cls_token + self.pos_embed[:, :1], self.register_tokens), 1)
         x = taps["pe/tokens0"] = torch.cat((special.expand(len(images), -1, -1), patches), 1)
         for i, block in enumerate(self.blocks):

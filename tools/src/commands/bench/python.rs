@@ -21,6 +21,7 @@ pub struct Script {
 }
 
 const SCENE: (&str, &str) = ("scene.py", include_str!("../../../bench/scene.py"));
+const TIMING: (&str, &str) = ("timing.py", include_str!("../../../bench/timing.py"));
 const MODEL: (&str, &str) = ("model.py", include_str!("../../../train/model.py"));
 const VGGT: (&str, &str) = ("vggt.py", include_str!("../../../train/vggt.py"));
 const LAYERS: (&str, &str) = ("layers.py", include_str!("../../../train/layers.py"));
@@ -32,12 +33,20 @@ pub const FORWARD: Script = Script {
     option: "--pytorch",
     needed: "a Python with torch, numpy and safetensors",
     check: "import torch, numpy, safetensors",
-    files: &[("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")), MODEL, VGGT, LAYERS, WEIGHTS],
+    files: &[
+        ("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")),
+        TIMING,
+        MODEL,
+        VGGT,
+        LAYERS,
+        WEIGHTS,
+    ],
 };
 
 pub const DEPTH: Script = Script {
     files: &[
         ("pytorch_depth.py", include_str!("../../../bench/pytorch_depth.py")),
+        TIMING,
         ("depth.py", include_str!("../../../train/depth.py")),
         MODEL,
         VGGT,
@@ -54,6 +63,7 @@ pub const REFINE: Script = Script {
     files: &[
         ("pytorch_refine.py", REFINE_PY),
         SCENE,
+        TIMING,
         ("rasterize.py", include_str!("../../../train/rasterize.py")),
         ("rasterize_numba.py", include_str!("../../../train/rasterize_numba.py")),
         ("rasterize_triton.py", include_str!("../../../train/rasterize_triton.py")),

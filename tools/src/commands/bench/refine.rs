@@ -35,7 +35,7 @@ const PYTORCH_DEGREE: u32 = 1;
 #[command(after_help = "Examples:
   zipsplat bench refine
   zipsplat bench refine --gaussians 36000,102000,249000 --size 252x252 --photos 4
-  zipsplat bench refine --pytorch=/venv/bin/python
+  zipsplat bench refine --pytorch python3
 
 Each case has a row per pass, and three totals: step, the sum of the passes; picture, the
 device's time of the same cameras' renders alone; host, a step measured on the host.
@@ -57,7 +57,7 @@ pub struct Refine {
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=64))]
     photos: u32,
     /// Also time PyTorch with this Python, which needs torch, numpy and numba
-    #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
+    #[arg(long, value_name = "PYTHON")]
     pytorch: Option<PathBuf>,
     #[command(flatten)]
     repeats: Repeats,

@@ -31,7 +31,7 @@ const FULL_CLOCK: Duration = Duration::from_millis(200);
   zipsplat bench render
   zipsplat bench render --gaussians 36000,102000,500000,2000000,6000000 --size 252x252,1920x1080,3840x2160 --sh 0,1,3
   zipsplat bench render --effects
-  zipsplat bench render --gsplat
+  zipsplat bench render --gsplat python3
 
 Each case has a row per pass, and three totals: device, the sum of the passes; host, one
 picture with its readback; in flight, a picture among overlapping submissions. The share
@@ -52,7 +52,7 @@ pub struct Render {
     #[arg(long, conflicts_with = "gsplat")]
     effects: bool,
     /// Also time gsplat with this Python, PyTorch and a CUDA GPU
-    #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
+    #[arg(long, value_name = "PYTHON")]
     gsplat: Option<PathBuf>,
     #[command(flatten)]
     repeats: Repeats,

@@ -22,8 +22,8 @@ const APART: f64 = 0.05;
 
 #[derive(Args)]
 pub struct ExternalScene {
-    /// Evaluate this scene of the input photos, without reconstruction: PLY, SPZ, .splat or glTF;
-    /// with --protocol a folder of NAME.ply and the like
+    /// Evaluate this scene of the input photos, without reconstruction: PLY, SPZ, SOG, .splat or
+    /// glTF; with --protocol a folder of NAME.ply and others
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "max_gaussians_per_token", "pose_noise", "crop"])]
     scene: Option<PathBuf>,
     /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth, without

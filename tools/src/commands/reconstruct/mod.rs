@@ -118,7 +118,7 @@ pub struct Reconstruct {
     #[arg(long, help_heading = MANY, conflicts_with_all = ["refine", "cameras_out", "scene_scale", "world", "explain",
         "pictures", "depth_weights", "recursive", "camera_model"])]
     each: bool,
-    /// Format of the scenes of --each: ply, spz, splat, glb or gltf
+    /// Format of the scenes of --each: ply, spz, sog, splat, glb or gltf
     #[arg(long, help_heading = MANY, value_name = "NAME", default_value = "ply", requires = "each")]
     format: String,
     /// Largest number of captures reconstructed in this run

@@ -79,7 +79,7 @@ def evaluate(folder: PathLike, *, views: int = 8, refine: int = 0, options: tupl
     Args:
         folder: Photos and their cameras: a transforms.json or a COLMAP model.
         views: Number of photos to reconstruct from.
-        refine: RefineResult steps before the evaluation.
+        refine: Refinement steps before the evaluation.
         options: More options of the command, such as ("--ratio", "0.5").
 
     Raises:

@@ -21,7 +21,7 @@ import os
 import sys
 import time
 from dataclasses import asdict, dataclass
-from typing import Any, Iterator, Literal, Optional, Union
+from typing import Any, Iterator, Literal, Optional, Union, get_args
 
 import fsspec
 
@@ -226,7 +226,7 @@ def run(
     """Reconstructs all captures and returns the report.
 
     Args:
-        inputs: CaptureView folders, or folders of them, on any fsspec file system.
+        inputs: Photo folders, or folders of them, on any fsspec file system.
         out: Output folder on any fsspec file system.
         options: Options that determine a scene.
         address: Address of a cluster; None for a local one.
@@ -313,7 +313,7 @@ def main(arguments: Optional[list[str]] = None) -> int:
     parser.add_argument("--ratio", type=_ratio, default=1.0, help="fraction of tokens that become Gaussians, or auto")
     parser.add_argument("--weights", default="builtin", help="name or path of weights, on every node")
     parser.add_argument("--input-size", help="WIDTHxHEIGHT of the network's input")
-    parser.add_argument("--format", default="ply", choices=["ply", "spz", "splat", "glb"])
+    parser.add_argument("--format", default="ply", choices=get_args(Format))
     given = parser.parse_args(arguments)
     width, _, height = (given.input_size or "").partition("x")
     size = (int(width), int(height)) if given.input_size else None

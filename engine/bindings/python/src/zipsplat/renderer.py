@@ -20,7 +20,7 @@ _DEPTHS = {"expected": lib.ZS_DEPTH_MODE_EXPECTED, "accumulated": lib.ZS_DEPTH_M
 
 @dataclass(frozen=True)
 class RenderOutput:
-    """RenderOutput of one camera or, with a leading axis C, of several.
+    """Pictures of one camera or, with a leading axis C, of several.
 
     Attributes:
         rgb: [C, height, width, 3] over the background: uint8, clamped and truncated, or float32.

@@ -404,8 +404,8 @@ class Scene:
             seconds: Time to spend, about: the steps and the photos' size follow from the measured
                 time of a few steps.
             views_per_step: Photos per step.
-            holdout_views: Number of held-out photos, which reveal overfitting; "auto" is one of 40
-                or more.
+            holdout_views: Number of held-out photos; "auto" is one of 40 or more, none with
+                `optimize_cameras`.
             max_image_size: Limits of a photo's width and height; larger ones are downscaled. None
                 for full size.
             seed: Seed of the photo order.
