@@ -215,7 +215,11 @@ impl Model {
     ) -> Result<Reconstruction> {
         if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
             *recorded = None;
-            *recorded = Some(self.record_for(arena, shape)?);
+            *recorded = Some(match self.record_for(arena, shape) {
+                // Renderings may hold memory.
+                Err(Error::Memory { .. }) => arena.release().and_then(|()| self.record_for(arena, shape))?,
+                found => found?,
+            });
         }
         let Some(Recorded { run, tensors, layout, scenes, .. }) = recorded else { unreachable!("just recorded") };
         let free = match scenes.iter().position(SceneMemory::is_free) {
