@@ -2,8 +2,8 @@ use crate::{Folder, cancel::cancelled_when, names, raw_command};
 use glam::DMat3;
 use image::{AnimationDecoder, Delay, codecs::png::PngDecoder};
 use std::{fs::File, io::BufReader, sync::atomic::AtomicBool};
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms};
-use zipsplat_tests::scenes;
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, SaveOptions, Scene, World, poses::write_transforms};
+use zipsplat_tests::{photos::with_orientation, scenes};
 
 /// Three cameras are of one size (`cameras.json`), or several (`sizes.json`).
 fn folder() -> Folder {
@@ -71,6 +71,28 @@ fn an_orbit_takes_its_up_from_cameras() {
         |a: &[Vec<u8>], b: &[Vec<u8>]| a.iter().flatten().zip(b.iter().flatten()).all(|(a, b)| a.abs_diff(*b) < 3);
     assert!(close(&orbit("level", [20.0, -20.0, 0.0]), &plain), "the mean up is level");
     assert!(!close(&orbit("tilted", [20.0; 3]), &plain), "the mean up is tilted");
+}
+
+#[test]
+fn photos_stored_on_their_sides_are_upright() {
+    let folder = folder();
+    let jpeg = crate::photo(30, 40, 0).jpeg(90).expect("a photo");
+    folder.write("side.jpg", with_orientation(&jpeg, 6));
+    let upright = scenes::camera(40, 30);
+    write_transforms(folder.path("side.json"), &[upright.turned(3)], &["side.jpg"]).expect("cameras");
+    write_transforms(folder.path("upright.json"), &[upright], &["none.jpg"]).expect("cameras");
+    let drawn = |path: &str| {
+        folder.run(&format!("{RENDER} {path} --frames 4 -o @/out")).success();
+        (Image::size(folder.path("out/000.png")).expect("a picture"), pictures(&folder, "out"))
+    };
+    assert!(drawn("--orbit=@/side.json") == drawn("--orbit=@/upright.json"), "an orbit");
+    assert_eq!(drawn("--cameras @/side.json").0, (30, 40), "the camera itself");
+    let frames = folder.capture("side.json").frames;
+    let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
+    let world = World::of_first(&[&frames[0]]);
+    scene.save_in(folder.path("scene.ply"), &SaveOptions::default(), world.as_ref()).expect("saved");
+    let (size, pictures) = drawn("--wiggle");
+    assert_eq!((size, pictures.len()), ((40, 30), 4));
 }
 
 #[test]

@@ -38,7 +38,7 @@ impl KernelChoice {
         }
         let arithmetic = Arithmetic::of(wanted, limits).ok_or_else(|| lacking(wanted, limits))?;
         let test = SelfTest::of(device, arithmetic, progress)?;
-        let warnings = test.notes(device);
+        let warnings = test.notes(device, arithmetic);
         let Some(arithmetic) = test.allowed(arithmetic) else {
             let found = format!("{}, which failed its self-test ({})", wanted.name(), warnings.join("; "));
             return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(warnings)) };

@@ -57,7 +57,11 @@ impl SelfTest {
         outcome.map(|()| test)
     }
 
-    pub(super) fn notes(&self, device: &Device) -> Vec<String> {
+    /// Failures of kernels that `wanted` would use.
+    pub(super) fn notes(&self, device: &Device, wanted: Arithmetic) -> Vec<String> {
+        let used: Vec<(String, Element)> =
+            Group::of(device.limits(), wanted).into_iter().flat_map(|group| group.kernels).collect();
+        let is_used = |kernel: &str| kernel == UNFINISHED || used.iter().any(|(name, _)| name == kernel);
         let name = &device.limits().name;
         let note = |(kernel, deviation): (&String, &Option<f64>)| match deviation {
             Some(times) => format!("{kernel} deviates {times:.1} times what it may on {name}: not used"),
@@ -68,7 +72,7 @@ impl SelfTest {
             }
             None => format!("{kernel} gave no result on {name}: not used"),
         };
-        self.deviations.iter().filter(|(kernel, _)| !self.passed(kernel)).map(note).collect()
+        self.deviations.iter().filter(|(kernel, _)| is_used(kernel) && !self.passed(kernel)).map(note).collect()
     }
 
     /// Removes failed matrix kernels; `None` if their replacements failed too.
