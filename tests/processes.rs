@@ -25,7 +25,6 @@ pub fn child(name: &str, target: &Path, shell: &str) -> Command {
     command
 }
 
-/// Resident memory of this process.
 pub fn resident_bytes() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm").expect("Linux");
     4096 * pages.split(' ').nth(1).and_then(|count| count.parse::<u64>().ok()).expect("a number of pages")

@@ -8,7 +8,6 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// Unit roundoff.
 pub const U: f64 = f32::EPSILON as f64 / 2.0;
-/// Unit in the last place.
 pub const ULP: f64 = f32::EPSILON as f64;
 pub const TINY: f64 = f32::MIN_POSITIVE as f64;
 /// Vulkan's relative limit for divisions.

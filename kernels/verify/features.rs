@@ -37,7 +37,6 @@ enum Fault {
     Unwritten,
     HalfResult,
     NeverStops,
-    /// Alphas below 1/255.
     FaintDrawn,
     NeighborRow,
     NeighborChannel,

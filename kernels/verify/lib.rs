@@ -216,7 +216,6 @@ pub struct Area {
     pub kernel: &'static str,
     /// Unit of sizes.
     pub size: &'static str,
-    /// Justification of the bound.
     pub reason: &'static str,
     pub modes: &'static [Mode],
     pub cases: Vec<Case>,
@@ -228,7 +227,6 @@ pub struct Finding {
     pub case: String,
     pub mode: Mode,
     pub size: usize,
-    /// True if every element is within its bound.
     pub holds: bool,
     /// Worst element; non-finite errors are null in JSON.
     #[serde(flatten)]

@@ -5,7 +5,6 @@ use zipsplat::{gpu::Element, ops::Arithmetic};
 pub struct Tolerance {
     /// Largest deviation of one element.
     pub max: f64,
-    /// Rms of all deviations.
     pub rms: f64,
 }
 
@@ -124,7 +123,6 @@ impl Tolerance {
 
     /// Adds the rounding to this type.
     pub fn stored_in(self, element: Element) -> Tolerance {
-        // An element may be eight times the rms.
         let u = element.roundoff();
         if element == Element::F32 { self } else { self.and(Tolerance { max: 8.0 * u, rms: u }) }
     }

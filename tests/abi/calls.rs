@@ -160,7 +160,6 @@ pub fn image_of(photo: &Image) -> zs_image {
     }
 }
 
-/// Defaults, at the photos' size.
 pub fn reconstruct_options() -> zs_reconstruct_options {
     let world = zs_world::ZS_WORLD_FIRST_CAMERA as i32;
     zs_reconstruct_options { world, scene_scale: 1.0, input_size: [SIDE; 2], ..Versioned::new() }

@@ -18,7 +18,6 @@ use zipsplat_tests::compare::assert_same;
 
 const COUNT: usize = 3;
 
-/// Distorted photos, their cameras, and optional points.
 fn capture(points: bool) -> TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::create_dir(folder.path().join("images")).expect("a folder");
@@ -190,7 +189,6 @@ fn saved_captures_find_their_photos_and_points() {
     let path = folder.path().join("deep/transforms.json");
     std::fs::create_dir(folder.path().join("deep")).expect("a folder");
     let text = c_string(path.to_str().expect("UTF-8"));
-    // Opened by a path relative to the working directory.
     let here = std::env::current_dir().expect("a working directory");
     let up: std::path::PathBuf = here.components().skip(1).map(|_| "..").collect();
     let relative = up.join(folder.path().strip_prefix("/").expect("an absolute path"));

@@ -90,7 +90,6 @@ fn depth_is_that_of_rust() {
     assert!(expected.len() > 20);
     assert!(read(&scene) == expected);
 
-    // Known cameras are returned unchanged and set the depth scale.
     let given: Vec<zs_camera> = cameras
         .iter()
         .map(|camera: &Camera| {

@@ -362,7 +362,6 @@ fn kept_features_give_other_scenes_and_patch_tokens() {
     let expected = reconstruct(&model, &images, &half);
     assert_eq!(bits(&read(&to_scene(&found))), bits(&read(&expected)));
     assert_eq!(bits(&read(&to_scene(&whole))), bits(&read(&reconstruct(&model, &images, &reconstruct_options()))));
-    // Features stay with both.
     assert_eq!(bits(&read(&to_scene(&made(again(&model, &found))))), bits(&read(&expected)));
 
     let rust = Model::from_checkpoint(rust_device(), &checkpoint(), |_| Continue(())).expect("a model");

@@ -1,5 +1,3 @@
-//! Reconstruction in blocks of views.
-
 use crate::Folder;
 use zipsplat::types::Scene;
 

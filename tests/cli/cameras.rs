@@ -20,7 +20,6 @@ const OPTIONS_4: [&str; 3] = [
 ];
 pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 
-/// Four photos without their cameras.
 pub fn place() -> (Folder, Vec<CaptureView>) {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 42x28 -o @/place").success();
@@ -243,7 +242,6 @@ fn what_goes_wrong_is_said_and_leaves_nothing() {
     assert_eq!(truth.len(), 4);
     let line = |option: &str| format!("cameras @/place/images {option} -o @/transforms.json");
     let install = "install";
-    // The log is in the script's folder.
     let left = |folder: &Folder| -> Vec<String> {
         folder.names().into_iter().filter(|name| !name.ends_with(".args")).collect()
     };

@@ -129,7 +129,6 @@ fn taking_photos_of_a_place_can_be_cancelled() {
     assert_eq!(folder.names(), before);
 }
 
-/// Doubles the delay until `done`.
 fn cancelled_later(mut delay: Duration, line: &str, done: impl Fn(&Outcome) -> bool) -> Outcome {
     loop {
         let outcome = cancelled_after(delay, line);
@@ -231,7 +230,6 @@ fn ignores_that_it_should_end() {
     std::thread::sleep(Duration::from_secs(60));
 }
 
-/// A video is partially written.
 fn filming() -> (Folder, Child) {
     let folder = Folder::new();
     folder.scatter("scene.ply", 300, 0, 0.1);

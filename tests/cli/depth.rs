@@ -154,7 +154,6 @@ fn photos_become_a_gaussian_a_pixel() {
     let [_, tokens, _, few] = made(&folder.run(&format!("{line} --max-gaussians-per-token 3")).json());
     assert!(tokens == 40 && few > 60 && few <= 120, "{few}");
 
-    // Passed in, or estimated during refinement.
     let cameras = folder.capture("cameras.json");
     assert_eq!(cameras.frames.len(), 2);
     let given = folder.run(&format!("{plain} --cameras @/cameras.json --cameras-out @/again.json"));
@@ -163,7 +162,6 @@ fn photos_become_a_gaussian_a_pixel() {
     let refine = "--max-gaussians-per-token 2 --cameras da3 --refine=2 --holdout-views 0";
     let refined = folder.run(&format!("{line} {refine} --optimize-cameras --cameras-out @/new/garden.json")).json();
     assert_eq!((&refined["refined"]["init"], &refined["refined"]["steps"]), (&"the scene".into(), &2.into()));
-    // The points of the estimated cameras.
     let optimized = folder.capture("new/garden.json");
     assert!(optimized.frames[1].camera != cameras.frames[1].camera);
     assert!(optimized.points.is_some_and(|points| points.ends_with("new/garden.points.ply")));

@@ -57,7 +57,6 @@ fn scenes_are_merged_and_keep_a_common_world() {
     assert_eq!(world_of("d.ply"), None);
 }
 
-/// `--antialiased` sets the tag, which formats keep or lose with a note.
 #[test]
 fn the_antialiased_tag_is_kept_set_and_merged_only_with_itself() {
     let folder = Folder::new();

@@ -72,7 +72,6 @@ fn four_fifths_of_many_photos_are_enough() {
     }
 }
 
-/// A fixed lens is kept if it registers as many photos; of two, the one with more points.
 #[test]
 fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
     let (folder, frames) = place();
@@ -182,7 +181,6 @@ fn cameras_of_long_videos_follow_from_keyframes() {
     let camera = zipsplat_tests::scenes::camera(40, 30);
     let frames: Vec<_> = names.iter().map(|name| (name.as_str(), &camera)).collect();
     let matcher = "[ -f \"$0.pairs\" ] || cp \"$pairs\" \"$0.pairs\"";
-    // Lines of the matchers, the mapper and the registrator.
     let run = |count: usize, mapper: &str| {
         colmap(&folder, "video", "3.8", OPTIONS_3, ["", matcher, mapper]);
         model(&folder.path("video.model/0"), &frames[..count]);

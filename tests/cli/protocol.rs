@@ -12,7 +12,6 @@ const SMALLER: u32 = 4;
 const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 const OPTIONS: &str = "--weights @/micro.safetensors --input-size 28x28 --lpips none";
 
-/// 12 photos of 84x56.
 fn place(folder: &Folder, seed: u32) -> Vec<CaptureView> {
     folder.run(&format!("scene --seed {seed} --views 12 --size 84x56 -o @/place")).success();
     folder.capture("place").frames
@@ -173,7 +172,6 @@ fn a_series_keeps_what_was_done() {
     assert_eq!(scenes.lines().count(), 5, "{scenes}");
     let page = folder.text("out/page.html");
     assert!(page.matches("src=\"data:image/jpeg;base64,").count() == 4 && !page.contains("http"), "no picture a row");
-    // Another evaluation gets its own line; a changed photo is evaluated again.
     let free = folder.run(&format!("{line} --pose-free --name A|B --json")).json();
     assert_eq!((&free["evaluated"], free["means"].as_array().map(Vec::len)), (&json!(4), Some(2)));
     let photo = folder.path("data/two/images_4/frame_00000.png");
@@ -182,7 +180,6 @@ fn a_series_keeps_what_was_done() {
     assert_eq!((&again["evaluated"], &again["skipped"]), (&json!(2), &json!(2)));
 }
 
-/// External scenes are found by name.
 #[test]
 fn a_protocol_aligns_cameras() {
     let folder = Folder::new();
@@ -280,7 +277,6 @@ fn filter_and_source_size_are_those_of_tables_5_and_6() {
     assert_eq!(usual, lanczos);
     assert!(bilinear.0 != lanczos.0 && bilinear.1 == lanczos.1);
     assert!(source.0 != lanczos.0 && source.1 != lanczos.1);
-    // The cameras follow the photos.
     folder.run("scene --seed 9 --views 8 --size 84x56 --splats -o @/exact").success();
     let exact = "eval @/exact --scene @/exact/splats.ply --views 2 --input-size 28x28 --lpips none --json";
     let figure = |options: &str| folder.run(&format!("{exact} {options}")).json()["mean"]["psnr"].as_f64().expect("dB");

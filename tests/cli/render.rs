@@ -148,7 +148,6 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     found.success();
     folder.run("render @/posed.ply --cameras @/place --relative-to 000.png -o @/named").success();
     assert_eq!(contents(&folder, "found"), contents(&folder, "named"));
-    // All formats but .splat store their world.
     for format in ["spz", "glb", "gltf"] {
         folder.run(&format!("convert @/posed.ply @/posed.{format}")).success();
         assert!(!says_empty(&folder, &format!("render @/posed.{format} --cameras @/place -o @/{format}")), "{format}");
@@ -210,7 +209,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     }
     assert_eq!(folder.run("reconstruct @/place/images --world input-cameras -o @/x.ply").code, 2);
 
-    // The same photos in another reconstruction's world, by name alone: aligned, and said so.
+    // The same photos in another reconstruction's world.
     write_transforms(folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
         .expect("cameras");
     for scene in ["first", "own"] {

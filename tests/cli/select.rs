@@ -73,7 +73,6 @@ fn masks_and_clicks_select_an_object() {
     assert_eq!(selected(&format!("--masks @/masks {features} --threshold 0.9")).means, scene.means[..100]);
 }
 
-/// Mean intersection over union of the labels in `truth`.
 fn mean_iou(found: &[u8], truth: &[u8]) -> f64 {
     let counted = |label: u8| {
         let pairs = found.iter().zip(truth).filter(|(_, truth)| **truth != 255);

@@ -109,7 +109,6 @@ fn named_weights_are_got_checked_converted_and_found() {
     list("cached");
     assert_eq!(place.run("weights path zipsplat").success().trim(), path);
     assert!(place.run("reconstruct --dry-run --views 2 --weights zipsplat").success().contains("MiB"));
-    // The token goes only to the hub.
     let requests = host.state().requests.clone();
     assert!(requests.iter().all(|[_, path, _, token]| (token == "true") == (path != "/blob")), "{requests:?}");
     assert_eq!(host.ranges(), [""]);

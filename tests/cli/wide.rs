@@ -104,7 +104,6 @@ fn masks_follow_the_views() {
     assert!((ignored - 0.5).abs() < 0.1, "{ignored}");
 }
 
-/// A JPEG with Photo Sphere metadata.
 fn photo_sphere(folder: &Folder, name: &str, image: &Image) {
     let xmp = b"http://ns.adobe.com/xap/1.0/\0<x:xmpmeta><GPano:ProjectionType>equirectangular</GPano:ProjectionType>";
     let mut bytes = image.jpeg(95).expect("a JPEG");

@@ -1,5 +1,3 @@
-//! Properties of every scene and camera.
-
 use crate::render::{ALL, bits, render};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::render::rasterize;

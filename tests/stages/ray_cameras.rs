@@ -1,5 +1,3 @@
-//! Cameras from rays and from the decoder.
-
 use zipsplat::cameras::{RayMap, decoded_camera};
 use zipsplat_tests::prelude::*;
 

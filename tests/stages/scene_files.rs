@@ -5,7 +5,6 @@ fn goldens() -> Golden {
     Golden::committed("geometry.safetensors")
 }
 
-/// Within the range of files.
 fn scene(count: usize, sh_degree: u32) -> Scene {
     let width = 11 + 3 * (sh_degree as usize + 1).pow(2);
     let unit = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 24) as f32;

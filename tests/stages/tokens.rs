@@ -1,5 +1,3 @@
-//! Refinement of tokens through the frozen head.
-
 use zipsplat::refine::{FrozenHead, LearningRates, RefineLength, RefineOptions, RefineResult, refine_tokens};
 use zipsplat::{gpu::Arena, reconstruct::SceneTokens};
 use zipsplat_tests::prelude::*;

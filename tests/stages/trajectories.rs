@@ -1,5 +1,3 @@
-//! Camera paths and their files.
-
 use glam::EulerRot;
 use serde_json::{Value, json};
 use std::f64::consts::TAU;

@@ -93,7 +93,6 @@ impl KnownDepth {
         Ok(Self { kind, maps: sources.into_iter().zip(frames).zip(cameras).map(map).collect(), unit })
     }
 
-    /// Returns stamps of the depth for a checkpoint.
     pub fn stamps(&self) -> Result<Vec<String>> {
         let of = |map: &Option<DepthMap>| match map.as_ref().map(|map| &map.source) {
             None => Ok("no depth".to_owned()),

@@ -33,7 +33,6 @@ const EQUIRECTANGULAR: &[u8] = b"equirectangular";
 /// Width of 35 mm film.
 const FILM: f64 = 36.0;
 
-/// Returns whether the metadata states an equirectangular projection.
 fn states_equirectangular(photo: &Path) -> bool {
     let mut start = Vec::new();
     let read = open_file(photo).is_ok_and(|file| file.take(METADATA).read_to_end(&mut start).is_ok());

@@ -35,10 +35,8 @@ class Edit {
 
     get picks() { return this.shown && element("object").selected; }
 
-    // While it is shown.
     get marked() { return this.picks ? this.object : this.shown ? this.volume : null; }
 
-    // After a change of the scene or the panel.
     enter() {
         const { scene } = this.page;
         element("save-scene").disabled = !this.ready || Boolean(this.saved);
@@ -149,7 +147,6 @@ class Edit {
         return apart(handle) < REACH ? handle : null;
     }
 
-    // A click on the background clears the selection.
     click(event) {
         if (!this.picks || this.page.overlay.dragged(event)) return;
         const found = this.page.pick(event.clientX, event.clientY), added = event.shiftKey || element("add").checked;

@@ -262,7 +262,6 @@ class Page {
 
     view() { return [...this.camera.axes[2], ...this.camera.eye]; }
 
-    // Slow motion gets fewer pixels.
     measure(now, moving) {
         const { times } = this;
         if (!moving) return void (times.length = 0);

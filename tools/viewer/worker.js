@@ -50,7 +50,6 @@ async function pack(scene, progress) {
     return { gaussians, harmonics: new Uint32Array(harmonics.buffer), gone, dropped };
 }
 
-// For views of the scene.
 function sampled({ means }, gone, count) {
     const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
     for (let i = 0, k = 0; i < gone.length; ++i)

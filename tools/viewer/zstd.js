@@ -173,7 +173,6 @@ function runBlock(bytes, tables, history, out, length) {
     return length + literals.length - taken;
 }
 
-// Decompresses a frame of `size` bytes.
 function unzstd(bytes, size) {
     const head = bytes[4], single = head >> 5 & 1, out = new Uint8Array(size), tables = {}, history = [1, 4, 8];
     if (bytes[0] !== 0x28 || bytes[1] !== 0xb5 || bytes[2] !== 0x2f || bytes[3] !== 0xfd) throw new Error("zstd");

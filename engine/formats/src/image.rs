@@ -60,7 +60,7 @@ impl Image {
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
-    /// Decodes bytes as [`Image::open`]; errors name "photo in memory".
+    /// Decodes bytes as [`Image::open`].
     pub fn decode(bytes: &[u8]) -> Result<Self> {
         let name = Path::new("photo in memory");
         refuse_other_kind(name, bytes)?;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{Image, Intrinsics, image::MAX_SIDE};
 use crate::{Error, Result};
 
-/// Widest field of view of a pinhole view, in degrees. Photos of wider lenses are cut.
+/// Widest field of view of a pinhole view, in degrees.
 pub const MAX_VIEW_DEG: f64 = 110.0;
 /// Field of view of the square views of a cut photo, in degrees.
 pub const CUT_VIEW_DEG: f64 = 100.0;
@@ -126,9 +126,9 @@ impl Lens {
     /// Returns the pinhole views of the photo. The first looks along the axis.
     ///
     /// Lenses of up to [`MAX_VIEW_DEG`] across and down, and perspective lenses without a
-    /// denominator, which are nearly pinholes, have one view of the photo's size: the widest that
-    /// the photo fills, with its principal point and both focal lengths scaled alike. Photos of
-    /// wider lenses are cut into overlapping squares of [`CUT_VIEW_DEG`].
+    /// denominator, have one view of the photo's size: the widest that the photo fills, with its
+    /// principal point and both focal lengths scaled alike. Photos of wider lenses are cut into
+    /// overlapping squares of [`CUT_VIEW_DEG`].
     ///
     /// # Errors
     /// [`Error::Argument`] with `name` for coefficients without such a camera.

@@ -26,8 +26,7 @@ pub struct Masks {
 /// Pixel values of [`Masks`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MaskSource {
-    /// A folder of PNGs named as their photos: `1.png` or, as for COLMAP, `1.jpg.png` for `1.jpg`.
-    /// They have the photos' sizes, without EXIF orientation.
+    /// A folder of PNGs of the photos' sizes, without EXIF orientation, named by [`named_after`].
     Folder(PathBuf),
     /// Alpha channels of the photos.
     Alpha,

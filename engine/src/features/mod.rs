@@ -1,8 +1,7 @@
 //! Features: values of any number of channels, held by Gaussians or by tokens.
 //!
 //! [`FeatureRenderer::lift`] averages pixel values over photos, weighted by each Gaussian's
-//! blending weights. [`FeatureRenderer::draw`] renders features as pictures. Tokens' features need
-//! one row per token instead of one per Gaussian.
+//! blending weights.
 
 mod memory;
 mod plan;

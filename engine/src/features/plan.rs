@@ -114,7 +114,6 @@ impl PartTensors {
     }
 }
 
-/// Vectors of `rows` in a part.
 pub(super) fn vectors_at_once(limits: &Limits, rows: usize) -> usize {
     let bytes = PART_BYTES.max(limits.memory_bytes / PART_OF_MEMORY).min(limits.max_binding_bytes);
     (bytes as usize / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)

@@ -50,17 +50,16 @@ pub struct RefineOptions {
     pub views_per_step: usize,
     /// Largest width and height of photos; larger ones are downscaled. `None`: full size.
     pub max_image_size: Option<[u32; 2]>,
-    /// Limit of photo bytes in host memory, besides a few in use; others are opened again at every
-    /// use. 4 GiB by default.
+    /// Limit in bytes of photos kept in host memory, 4 GiB by default; others are reopened at every
+    /// use.
     pub max_photo_bytes: u64,
-    /// Number of held-out photos, which reveal overfitting. `None`: 1 from 40 photos on, 0 if
-    /// cameras are refined.
+    /// Number of held-out photos. `None`: 1 from 40 photos on, 0 if cameras are refined.
     pub holdout_views: Option<usize>,
     /// Pixel loss.
     pub loss: Loss,
-    /// LPIPS term for photos large enough; it prevents batching. `None` needs no LPIPS weights.
+    /// LPIPS term for photos large enough; it prevents batching.
     pub perceptual_loss: Option<PerceptualLoss>,
-    /// Depth term for photos with known depth, [`Photos::depth`](super::Photos::depth).
+    /// Depth term for photos with [`Photos::depth`](super::Photos::depth).
     pub depth_loss: Option<DepthLoss>,
     /// Learning rates.
     pub learning_rates: LearningRates,
@@ -71,10 +70,9 @@ pub struct RefineOptions {
     /// Whether to draw and return an antialiased scene (Mip-Splatting), by default
     /// [`Scene::antialiased`](crate::types::Scene::antialiased).
     pub antialiased: Option<bool>,
-    /// Number of Gaussians to grow to, by relocating invisible and adding new ones. No growth if at
-    /// most the scene's number. `None`: from 50 steps on and below a training PSNR of 25 dB, one
-    /// per 32 pixels of the photos, at most 16 times the scene's number; from 200 steps on more, up
-    /// to twice as many at 800.
+    /// Number of Gaussians to grow to; no growth if at most the scene's number. `None`: from 50
+    /// steps on and below a training PSNR of 25 dB, one per 32 pixels of the photos, at most 16
+    /// times the scene's number; from 200 steps on more, up to twice as many at 800.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,

@@ -4,7 +4,6 @@ use crate::backbone::rope::rope;
 
 #[derive(Clone, Copy)]
 pub struct Part<'a> {
-    /// First column.
     pub column: usize,
     pub heads: usize,
     pub head_dim: usize,

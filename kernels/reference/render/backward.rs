@@ -41,9 +41,7 @@ impl Direction {
 
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {
-    /// Compensates opacity for blur.
     pub antialiased: bool,
-    /// Divides depth by alpha.
     pub expected_depth: bool,
     pub background: [f64; 3],
 }

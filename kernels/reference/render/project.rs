@@ -20,7 +20,6 @@ pub struct Gaussians {
     pub quats: Vec<[f64; 4]>,
     /// Standard deviations.
     pub scales: Vec<[f64; 3]>,
-    /// 0..1.
     pub opacities: Vec<f64>,
     /// `[N, K, 3]`.
     pub sh_coeffs: Vec<f64>,

@@ -67,7 +67,6 @@ pub struct Pixel {
     pub rgb: [f64; 3],
     /// Sum of depth times weight.
     pub depth: f64,
-    /// Share of the background.
     pub transmittance: f64,
     pub unstable: bool,
 }

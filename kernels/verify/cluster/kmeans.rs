@@ -33,11 +33,9 @@ struct Truth {
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     LastTokenMoved,
-    /// Ties go to the last cluster.
     LastOfEqual,
     NextToken,
     LastMember,
-    /// Empty clusters keep their centroid.
     EmptyStays,
     NoRounds,
     OtherEveryRun,

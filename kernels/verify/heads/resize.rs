@@ -143,7 +143,6 @@ impl Values for Problem {
     }
 }
 
-/// Idle lanes, single lines and pixels, with and without positions, and parts.
 pub fn shapes() -> Area {
     let sizes = [
         ([3, 4, 8], [6, 8]),

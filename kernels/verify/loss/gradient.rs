@@ -32,7 +32,6 @@ enum Fault {
     HalfDssim,
     SwappedMix,
     NeighborPixel,
-    /// Masked pixels keep their difference.
     NotMasked,
     /// Masked pixels keep the gradient that windows around them give.
     MaskedGradient,

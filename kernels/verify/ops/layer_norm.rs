@@ -60,11 +60,9 @@ struct Problem {
 pub enum Fault {
     /// Variance as the difference of two f32 sums.
     OnePass,
-    /// Mean from one f32 sum, uncorrected.
     UncorrectedMean,
     HalfSum,
     LastChannel,
-    /// Variance divided by n - 1.
     Unbiased,
     NoEpsilon,
     NoBias,

@@ -23,7 +23,6 @@ enum Fault {
     HalfResult,
     Transposed,
     NoOffset,
-    /// Saturated photos hide nothing.
     NothingHidden,
     /// Photos that are not saturated hide values beyond 0 and 1.
     AllHidden,

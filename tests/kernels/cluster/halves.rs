@@ -1,5 +1,3 @@
-//! Rows about an origin as two f16 each, against the rows.
-
 use crate::case::*;
 use zipsplat::kernels::cluster::Halves;
 use zipsplat_tests::reference::cluster::halves::about;

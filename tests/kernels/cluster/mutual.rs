@@ -1,5 +1,3 @@
-//! Mutual nearest neighbors across views, and the tokens that they select.
-
 use crate::case::*;
 use zipsplat::{kernels::cluster::Mutual, ops::NearestKernel, stages::cluster};
 use zipsplat_tests::reference::cluster::mutual::{nearest_by_view, order};

@@ -1,5 +1,3 @@
-//! Copies write every byte and none behind it.
-
 use crate::case::*;
 use zipsplat::ops::measure;
 use zipsplat_tests::reference::measure::copy::copy;

@@ -1,5 +1,3 @@
-//! Inputs of convolutions, exact: sides, steps, borders and dilations.
-
 use crate::case::*;
 use zipsplat::kernels::ops::Im2col;
 use zipsplat_tests::reference::ops::im2col::im2col;

@@ -1,5 +1,3 @@
-//! The radix sort of some items and bits, and the starts of keys.
-
 use crate::case::*;
 use zipsplat::ops::{
     scan::exclusive_scan,

@@ -1,5 +1,3 @@
-//! Exact placement, norm and rotation.
-
 use crate::case::*;
 use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
 use zipsplat_tests::reference::backbone::rope::{global_positions, local_positions};

@@ -1,5 +1,3 @@
-//! Gradients of pictures against the goldens and finite differences.
-
 use crate::case::*;
 use zipsplat::stages::render::{
     CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, SceneGradients, SceneTensors, camera_rows, record_with_gradients,

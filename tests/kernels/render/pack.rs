@@ -1,5 +1,3 @@
-//! Bytes of pictures, exact.
-
 use crate::case::*;
 use zipsplat::kernels::render::Pack;
 use zipsplat_tests::reference::render::pack::pack;

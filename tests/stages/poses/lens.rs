@@ -72,7 +72,6 @@ fn assert_undone(name: &str, frame: &CaptureView, folder: &Path, lens: &Intrinsi
         let off = (found[0] - truth[0]).hypot(found[1] - truth[1]);
         assert!(off < 0.15, "{name}: spot {spot:?} at {found:?}, not {truth:?}, in the photo at {bent:?}");
     }
-    // The picture lies within the photo and fills it.
     let border = (0..=60).map(|k| f64::from(k) / 60.0);
     let [w, h] = SIZE.map(f64::from);
     let points = border.flat_map(|t| [[t * w, 0.0], [t * w, h], [0.0, t * h], [w, t * h]]);

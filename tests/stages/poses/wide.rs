@@ -1,5 +1,3 @@
-//! Photos of wide lenses become pinhole views.
-
 use super::{assert_format_error, assert_same_pose};
 use serde_json::json;
 use std::f64::consts::{PI, TAU};
@@ -237,7 +235,6 @@ fn colmap_models_have_the_same_views() {
             assert_eq!((&read.name, read.lens), (&frame.name, frame.lens));
             assert_same_pose(&read.camera.pose, &frame.camera.pose, i);
         }
-        // Views that moved apart are frames of their own.
         let mut moved = json.frames.clone();
         moved[1].camera.pose.translation.x += 0.1;
         assert_refused(write_colmap(model.path(), &moved, &[]), &["a.png", "view 0"]);
@@ -270,7 +267,6 @@ fn masks_are_cut_alike() {
         let expected = [0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.0, 1.0][i];
         assert!((share - expected).abs() < 0.02, "view {i}: {share}");
     }
-    // Pixels outside a fisheye's image circle are masked.
     let lens = &LENSES[0];
     let capture = lens.capture(folder.path());
     let photo = picture(lens.size, |at| lens.ray(at));

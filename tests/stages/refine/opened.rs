@@ -74,7 +74,6 @@ fn photos_that_vanish_end_the_refinement_with_the_best_scene_and_a_checkpoint() 
     assert!(matches!(&refined.stop_reason, Some(StopReason::Failed(why)) if why.contains("no file")));
     let steps = refined.losses.len();
     assert!((1..20).contains(&steps) && (1..=steps).contains(&refined.best_step), "{steps}, {}", refined.best_step);
-    // Once the photos are back, the refinement goes on where it ended.
     let (resumed, _) = refine_from(&photos, 500, 0, Some(checkpoint));
     let (whole, _) = refine_opened(&photos, 500, 0);
     assert_eq!((resumed.resumed_step, resumed.stop_reason), (steps, None));

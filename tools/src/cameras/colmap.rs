@@ -89,7 +89,6 @@ pub struct Mapping {
     /// Points that a further photo must see.
     points: u32,
     pub refines_lens: bool,
-    /// Maps only keyframes.
     pub keyframes: bool,
 }
 

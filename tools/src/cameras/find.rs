@@ -88,7 +88,6 @@ pub struct EstimatedCameras {
     pub mappings: usize,
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
-    /// COLMAP's log.
     pub(super) log: Option<Log>,
     pub(super) _work: Scratch,
 }

@@ -173,7 +173,7 @@ impl CameraArgs {
     }
 
     /// Reads a file's cameras, in the world of the requested photo, else of the scene's photo if
-    /// the file has it. Crops them to a requested size. `along` a path, cameras are upright and have
+    /// the file has it. Crops them to a requested size. `along` a path, cameras are upright, of
     /// the first one's size.
     fn of_file(
         &self,

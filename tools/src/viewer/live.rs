@@ -27,7 +27,6 @@ pub struct Live<'a> {
     pub device: Device,
     pub(super) checkpoint: Checkpoint,
     pub(super) quality: &'a Quality,
-    /// Network input.
     pub(super) images: Vec<Image>,
     pub(super) request: ReconstructOptions,
     /// Network's world in the scene's, if different.

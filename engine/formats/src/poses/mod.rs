@@ -75,8 +75,7 @@ impl CaptureView {
         Ok(views.iter().enumerate().filter(|(i, _)| view.is_none_or(|view| view == *i)).map(frame).collect())
     }
 
-    /// Returns the clockwise quarter turns that show the photo upright by its EXIF orientation: none
-    /// without a photo or for mirrored ones.
+    /// Returns the photo's [`Image::quarter_turns`]; 0 without a photo or for mirrored ones.
     pub fn quarter_turns(&self) -> u32 {
         self.photo.as_ref().and_then(|photo| Image::quarter_turns(photo).ok()).unwrap_or(0)
     }

@@ -284,7 +284,6 @@ impl Run {
         Ok(())
     }
 
-    /// Encodes a further batch, if any.
     fn encode_next(&mut self) -> Result<()> {
         if self.encoded.command < self.plan.commands.len() {
             let mut cursor = self.encoded;

@@ -34,7 +34,6 @@ pub enum Fault {
     NoScale,
     NoResidual,
     ScaledResidual,
-    /// Integer weights read as unsigned.
     NoSign,
     /// Scale of the next weight group, cyclically.
     NextScale,

@@ -43,7 +43,6 @@ pub(crate) enum Fault {
     NoBackground,
     Unclamped,
     NeverStops,
-    /// Gradients of alphas below 1/255.
     FaintDrawn,
     NoAlpha,
     NoDepth,

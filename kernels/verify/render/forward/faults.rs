@@ -29,7 +29,6 @@ pub enum Fault {
     CancellingDeterminant,
     BehindDrawn,
     NearDrawn,
-    /// Draws alphas below 1/255.
     FaintDrawn,
     OpaqueUnclamped,
     NeverStops,

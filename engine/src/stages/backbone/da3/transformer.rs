@@ -164,9 +164,8 @@ const A: f64 = -0.75;
 
 const OFFSET: f64 = 0.1;
 
-/// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
-///
-/// Bicubic with repeated edges.
+/// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`,
+/// bicubic with repeated edges.
 pub fn interpolate_positions(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
     interpolate(learned, [side, width], [rows, columns], taps)
 }

@@ -149,9 +149,8 @@ impl SpecialTokens for Registers {
 /// Bicubic parameter.
 const A: f64 = -0.5;
 
-/// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
-///
-/// Bicubic with antialiasing and normalized weights.
+/// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`,
+/// bicubic with antialiasing and normalized weights.
 pub fn interpolate_antialiased(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
     interpolate(learned, [side, width], [rows, columns], taps)
 }
