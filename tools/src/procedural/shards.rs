@@ -35,6 +35,7 @@ const BATCH: u64 = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
+    /// Number of scenes; 0 until the stream ends.
     pub scenes: u64,
     pub views: u32,
     pub height: u32,
@@ -46,10 +47,15 @@ pub struct Record {
     pub seed: u64,
     pub family: Family,
     pub path: PathKind,
+    /// `[V]` fx, fy, cx, cy.
     pub intrinsics: Vec<[f32; 4]>,
+    /// `[V]` rows of camera-to-world.
     pub poses: Vec<[f32; 12]>,
+    /// `[V][V]`.
     pub overlap: Vec<f32>,
+    /// `[V][H][W][3]`.
     pub colors: Vec<u8>,
+    /// `[V][H][W]`.
     pub depths: Vec<f16>,
 }
 
