@@ -64,6 +64,7 @@ fn masks_and_clicks_select_an_object() {
     folder.run(lift).success();
     assert!(values() == of_gray, "labels of a palette");
     image::RgbImage::new(SIZE, SIZE).save(folder.path("labels/b.png")).expect("a picture");
+    let lift = lift.trim_end_matches(" --json");
     folder.run(lift).fails(3, &["b.png", "Rgb", "gray or palette"]);
     image::GrayImage::new(SIZE / 2, SIZE).save(folder.path("labels/b.png")).expect("a picture");
     folder.run(lift).fails(3, &["b.png", "32x64", "64x64"]);

@@ -86,7 +86,8 @@ fn photos_stored_on_their_sides_are_upright() {
         (Image::size(folder.path("out/000.png")).expect("a picture"), pictures(&folder, "out"))
     };
     assert!(drawn("--orbit=@/side.json") == drawn("--orbit=@/upright.json"), "an orbit");
-    assert_eq!(drawn("--cameras @/side.json").0, (30, 40), "the camera itself");
+    folder.run(&format!("{RENDER} --cameras @/side.json -o @/own")).success();
+    assert_eq!(Image::size(folder.path("own/000.png")).expect("a picture"), (30, 40), "the camera itself");
     let frames = folder.capture("side.json").frames;
     let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
     let world = World::of_first(&[&frames[0]]);
