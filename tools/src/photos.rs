@@ -198,18 +198,18 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
-/// In natural order.
 pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
-    let mut found = visible(folder)?;
-    found.retain(|path| path.is_file() && is_photo(path));
-    found.sort_by(by_name);
-    Ok(found)
+    sorted(folder, |path| path.is_file() && is_photo(path))
+}
+
+pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    sorted(folder, |path| path.is_dir())
 }
 
 /// In natural order.
-pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
+fn sorted(folder: &Path, is_kept: fn(&PathBuf) -> bool) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
-    found.retain(|path| path.is_dir());
+    found.retain(is_kept);
     found.sort_by(by_name);
     Ok(found)
 }
