@@ -154,8 +154,7 @@ fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<
 
 /// Skips links to folders against cycles.
 fn list_below(folder: &Path, photos: &mut Vec<PathBuf>) -> Result<()> {
-    let mut entries = visible(folder)?;
-    entries.sort_by(by_name);
+    let entries = sorted(folder, |_| true)?;
     let files = entries.iter().filter(|path| path.is_file()).cloned().collect();
     photos.extend(photos_among(files).0);
     entries.iter().filter(|path| path.is_dir() && !path.is_symlink()).try_for_each(|path| list_below(path, photos))
@@ -225,14 +224,9 @@ fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
 /// Excludes hidden files, such as macOS's `._000.jpg`.
 fn visible(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |error| Error::io(folder, error);
-    let mut found = Vec::new();
-    for entry in folder.read_dir().map_err(failed)? {
-        let entry = entry.map_err(failed)?;
-        if !entry.file_name().to_string_lossy().starts_with('.') {
-            found.push(entry.path());
-        }
-    }
-    Ok(found)
+    let is_hidden = |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    let entries = folder.read_dir().map_err(failed)?.map(|entry| Ok(entry.map_err(failed)?.path()));
+    entries.filter(|path| !path.as_ref().is_ok_and(is_hidden)).collect()
 }
 
 fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {

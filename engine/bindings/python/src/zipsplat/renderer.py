@@ -66,6 +66,7 @@ class Renderer(Owner):
         quats: npt.ArrayLike,
         opacities: npt.ArrayLike,
         sh_coeffs: npt.ArrayLike,
+        *,
         antialiased: bool = False,
     ) -> None:
         """Replaces the scene by copies of arrays, as Scene.from_arrays, for an optimizer.
