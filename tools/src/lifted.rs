@@ -32,7 +32,8 @@ use zipsplat::{
 };
 
 const LARGEST: u32 = 1600;
-const KEYS: [&str; 2] = ["zipsplat.scene_sha256", "zipsplat.group"];
+/// The only entry of the metadata: several would have no fixed order.
+const SCENE: &str = "zipsplat.scene_sha256";
 
 #[derive(Args)]
 pub struct PosedPhotos {
@@ -217,13 +218,12 @@ fn read_labels(path: &Path) -> Result<([u32; 2], Vec<usize>)> {
 }
 
 pub fn save(path: &Path, lifted: &Lifted, scene: &Scene) -> Result<()> {
-    let Features { values, channels, group } = &lifted.features;
+    let Features { values, channels, .. } = &lifted.features;
     let rows = lifted.weights.len();
     let view = |shape: Vec<usize>, values| TensorView::new(Dtype::F32, shape, bytemuck::cast_slice(values));
     let tensors = [("features", view(vec![rows, *channels], values)), ("weights", view(vec![rows], &lifted.weights))]
         .map(|(name, tensor)| (name, tensor.expect("whole values")));
-    let metadata: HashMap<String, String> =
-        KEYS.map(String::from).into_iter().zip([hash(scene), group.to_string()]).collect();
+    let metadata = HashMap::from([(SCENE.to_owned(), hash(scene))]);
     let bytes = safetensors::serialize(tensors, Some(metadata))
         .map_err(|error| Error::format(path, None, error.to_string()))?;
     write_atomic(path, |out| out.write_all(&bytes))
@@ -242,7 +242,7 @@ pub fn open(path: &Path, scene: &Scene) -> Result<Lifted> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|error| malformed(error.to_string()))?;
     let stated = metadata.metadata().clone().unwrap_or_default();
-    let [stated_hash, group] = KEYS.map(|key| stated.get(key).cloned().unwrap_or_default());
+    let stated_hash = stated.get(SCENE).map_or("", String::as_str);
     if stated_hash != hash(scene) {
         return Err(malformed(format!("found features of scene {stated_hash:.12}, expected {:.12}", hash(scene))));
     }
@@ -254,7 +254,7 @@ pub fn open(path: &Path, scene: &Scene) -> Result<Lifted> {
         Ok((values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<f32>>(), width))
     };
     let ((values, channels), (weights, _)) = (tensor("features")?, tensor("weights")?);
-    let features = Features { values, channels, group: group.parse().unwrap_or(0) };
+    let features = Features { values, channels, group: scene.len().checked_div(weights.len()).unwrap_or(0) };
     features.validate(scene)?;
     Ok(Lifted { features, weights })
 }
