@@ -28,7 +28,7 @@ VIEWS, SIZE = 4, 56
 def make(zipsplat, folder):
     """Writes two scenes in both layouts: 90 x 60 photos; DL3DV's camera has four times the
     resolution."""
-    for seed in (3, 4):
+    for seed in (3, 5):
         place = folder / f"place{seed}"
         command = [zipsplat, "scene", "--seed", str(seed), "--views", "8", "--size", "90x60", "-q", "-o", place]
         subprocess.run(command, check=True)
@@ -43,7 +43,7 @@ def make(zipsplat, folder):
                     fields[name] *= 4
         (scene / "transforms.json").write_text(json.dumps(cameras))
 
-        video = folder / "re10k" / f"video{seed}"
+        video = folder / "re10k" / f"scene{seed}"
         (video / "depth").mkdir(parents=True)
         lines = ["https://www.youtube.com/watch?v=0"]
         for i, frame in enumerate(cameras["frames"]):
@@ -102,14 +102,14 @@ def check_left_out(zipsplat, folder):
     }.items():
         shutil.rmtree(broken, ignore_errors=True)
         shutil.copytree(folder / "re10k", broken)
-        shutil.copytree(broken / "video3", broken / "video2")
-        shutil.copy(broken / "video3.txt", broken / "video2.txt")
-        spoil(broken / "video2")
+        shutil.copytree(broken / "scene3", broken / "scene4")
+        shutil.copy(broken / "scene3.txt", broken / "scene4.txt")
+        spoil(broken / "scene4")
         said = io.StringIO()
         with contextlib.redirect_stderr(said):
             records([("re10k", broken, None)], 8)
-        assert "left out video2" in said.getvalue() and reason in said.getvalue(), (reason, said.getvalue())
-    shutil.rmtree(broken / "video4" / "depth")
+        assert "left out scene4" in said.getvalue() and reason in said.getvalue(), (reason, said.getvalue())
+    shutil.rmtree(broken / "scene3" / "depth")
     with contextlib.redirect_stderr(io.StringIO()):
         check_raised(Captures([("re10k", broken, None)], record(VIEWS, SIZE, SIZE), [6, 8], 1), "no scene that can be read")
     check_raised(Shards(generator_command(Path(zipsplat), SIZE, VIEWS, 1, scenes=4)), "the stream of scenes ended")
