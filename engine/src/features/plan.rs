@@ -11,10 +11,8 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Least device bytes of values beside the scene, and part of the device's memory that they may
-/// take; more channels take several passes.
-const PART_BYTES: u64 = 256 << 20;
-const PART_OF_MEMORY: u64 = 8;
+/// Device bytes of values beside the scene; more channels take several parts.
+const PART_BYTES: usize = 256 << 20;
 
 #[derive(Clone, Copy, PartialEq)]
 pub(super) struct Job {
@@ -115,8 +113,8 @@ impl PartTensors {
 }
 
 pub(super) fn vectors_at_once(limits: &Limits, rows: usize) -> usize {
-    let bytes = PART_BYTES.max(limits.memory_bytes / PART_OF_MEMORY).min(limits.max_binding_bytes);
-    (bytes as usize / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)
+    let bytes = PART_BYTES.min(limits.max_binding_bytes as usize);
+    (bytes / (size_of::<[f32; VECTOR]>() * rows.max(1))).max(1)
 }
 
 pub(super) fn job(scene: &Scene, group: usize) -> Job {
