@@ -105,8 +105,8 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
     let mut names: Vec<String> = frames.map(|frame| frame.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     assert_eq!(names.len(), 12);
-    assert!(names[..6].iter().all(|name| name.starts_with("plain-0")), "{names:?}");
-    assert!(names[6..].iter().all(|name| name.starts_with("plain-1-0")), "{names:?}");
+    assert!(names[..6].iter().all(|name| name.starts_with("plain-1-0")), "{names:?}");
+    assert!(names[6..].iter().all(|name| name.starts_with("plain-2-0")), "{names:?}");
     folder.write("list.mp4", "ffconcat version 1.0\nfile plain.mp4\n");
     let line = "cameras @/list.mp4 --views 5 --colmap @/colmap -o @/list.json --overwrite";
     folder.run(line).fails(3, &["list.mp4", "ffmpeg cannot read it"]);

@@ -1,4 +1,5 @@
 use crate::case::*;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use zipsplat::{gpu::Progress, kernels::ops::Add};
 
 fn images(views: u32) -> Vec<Image> {
@@ -62,6 +63,9 @@ fn cutting_long_dispatches_changes_no_bit() {
             rec.dispatch(kernel, count).flops(stated);
             rec.output(out);
             let mut run = Run::new(&device, rec.finish().unwrap()).unwrap();
+            run.write(left, &values).unwrap();
+            let interrupted = catch_unwind(AssertUnwindSafe(|| run.execute_with(|_| panic!("in progress"))));
+            assert!(interrupted.is_err(), "the panic passes");
             run.write(left, &values).unwrap();
             let mut submissions = 0;
             let count_submissions = |_: Progress<'_>| {

@@ -57,6 +57,20 @@ fn as_ascii(scene: &Scene, value: f32) -> Vec<u8> {
 }
 
 #[test]
+fn near_planes_and_backgrounds_are_numbers() {
+    let (scene, mut renderer) = (random_scene(COUNT, 0, 0.1), Renderer::new(device()));
+    let mut refused = |options: RenderOptions, words: &[&str]| {
+        assert_refused(renderer.render_scene(&scene, &[camera(8, 8)], &options), words);
+    };
+    refused(RenderOptions { near: Some(-1.0), ..RenderOptions::default() }, &["near plane", "-1"]);
+    refused(RenderOptions { near: Some(f32::NAN), ..RenderOptions::default() }, &["near plane", "NaN"]);
+    refused(
+        RenderOptions { background: [0.0, f32::INFINITY, 0.0], ..RenderOptions::default() },
+        &["background", "inf"],
+    );
+}
+
+#[test]
 fn they_are_refused_with_their_count_or_dropped() {
     let folder = tempfile::tempdir().unwrap();
     for name in NAMES {

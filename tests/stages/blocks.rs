@@ -53,6 +53,7 @@ fn blocks_without_cameras_are_in_order_and_overlap() {
     assert_eq!(views, [(0..20).collect::<Vec<_>>(), (14..34).collect(), (28..48).collect()]);
     let one = BlockLayout::new(20, 20, None).expect("a layout");
     assert_eq!((one.count, one.size, one.overlap), (1, 20, 0));
+    assert_eq!(BlockLayout::new(20, 20, Some(30)).map(|layout| layout.count).expect("a layout"), 1);
     assert_eq!(
         BlockLayout::new(2000, 192, None).map(|layout| (layout.count, layout.overlap)).expect("a layout"),
         (14, 48)

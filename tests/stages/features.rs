@@ -117,6 +117,7 @@ fn lifted_features_equal_brute_force() {
             assert!(error < 3e-4, "feature {i} of {group} Gaussians, {channels} channels: {found}, {mean}");
         }
         assert_eq!(lift(&scene, &cameras, group, &pictures), found, "bits of a second run");
+        assert_refused(found.select(&scene, &[3, 400], 0.5), &["seed", "400"]);
     }
 }
 

@@ -20,7 +20,7 @@ pub fn is_heic(path: &Path) -> bool {
     open_file(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && is_heic_start(&start)
 }
 
-/// Converts to upright JPEGs in order: `IMG_1.HEIC` to `IMG_1.jpg`, duplicates to `IMG_1-1.jpg`.
+/// Converts to upright JPEGs in order: `IMG_1.HEIC` to `IMG_1.jpg`.
 pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], folder: &Path) -> Result<Vec<PathBuf>> {
     let named: Vec<(String, &&PathBuf)> = unique_stems(pictures).into_iter().zip(pictures).collect();
     let (photos, _) = session.stage("read HEIC", |stage| {

@@ -108,8 +108,9 @@ pub fn is_own(path: &Path) -> bool {
     read().is_ok_and(|bytes| MARKS.iter().any(|(start, mark)| bytes.starts_with(start) && holds(&bytes, mark)))
 }
 
-/// Removes `own` files of a longer earlier run: names of at least three digits, from `count` on.
-pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) -> Result<()> {
+/// Removes `own` files of a longer earlier run: names of at least three digits, from `count` on,
+/// that end in `extension`.
+pub fn remove_stale(folder: &Path, count: usize, extension: &str, own: impl Fn(&Path) -> bool) -> Result<()> {
     let failed = |error| Error::io(folder, error);
     for entry in folder.read_dir().map_err(failed)? {
         let path = entry.map_err(failed)?.path();
@@ -117,7 +118,8 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
         let digits =
             name.split('.').next().filter(|digits| digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit()));
         let number = digits.and_then(|digits| digits.parse::<usize>().ok());
-        if number.is_some_and(|number| number >= count) && is_file(&path) && own(&path) {
+        let is_alike = path.extension().is_some_and(|found| found == extension);
+        if is_alike && number.is_some_and(|number| number >= count) && is_file(&path) && own(&path) {
             std::fs::remove_file(&path).map_err(|error| Error::io(&path, error))?;
         }
     }

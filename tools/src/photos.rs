@@ -92,8 +92,7 @@ impl Reading {
         let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
         let make = || named_in.map_or_else(FrameFolder::temporary, beside);
         let videos: Vec<&PathBuf> = listed.iter().filter(|path| is_video(path)).collect();
-        let needed = !(heic.is_empty() && videos.is_empty());
-        let mut folder = needed.then(make).transpose()?;
+        let mut folder = (!heic.is_empty() || !videos.is_empty()).then(make).transpose()?;
         let mut made = match (&heic[..], &folder) {
             ([_, ..], Some(folder)) => to_jpeg(session, &self.ffmpeg, &heic, folder.path())?,
             _ => Vec::new(),
@@ -279,15 +278,16 @@ pub fn text(path: &Path) -> Result<&str> {
     })
 }
 
-/// Stems of file names, numbered after the first of a name: `a`, `a-1`.
+/// Stems of file names; equal ones are numbered: `a-1`, `a-2`.
 pub fn unique_stems(files: &[impl AsRef<Path>]) -> Vec<String> {
-    let mut taken = HashSet::new();
-    let unique = |file: &Path| {
-        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
-        let mut names = (0..).map(|n| if n == 0 { stem.to_string() } else { format!("{stem}-{n}") });
-        names.find(|name| taken.insert(name.clone())).expect("endless")
+    let stem = |file: &Path| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let stems: Vec<String> = files.iter().map(|file| stem(file.as_ref())).collect();
+    let mut taken: HashSet<String> = stems.iter().cloned().collect();
+    let unique = |stem: &String| match stems.iter().filter(|other| *other == stem).count() {
+        1 => stem.clone(),
+        _ => (1..).map(|n| format!("{stem}-{n}")).find(|name| taken.insert(name.clone())).expect("endless"),
     };
-    files.iter().map(AsRef::as_ref).map(unique).collect()
+    stems.iter().map(unique).collect()
 }
 
 pub fn names(files: &[PathBuf]) -> String {
@@ -379,8 +379,7 @@ pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String
 
 #[cfg(test)]
 mod tests {
-    use super::spread;
-    use std::path::PathBuf;
+    use super::*;
 
     #[test]
     fn spread_keeps_the_ends() {
@@ -392,5 +391,10 @@ mod tests {
         assert_eq!(names(4, 6), ["0", "2", "3", "5"]);
         assert_eq!(names(1, 6), ["0"]);
         assert_eq!(names(6, 2), ["0", "1"]);
+    }
+
+    #[test]
+    fn stems_are_unique() {
+        assert_eq!(unique_stems(&["x/a.jpg", "y/a.png", "a-1.jpg", "b.jpg"]), ["a-2", "a-3", "a-1", "b"]);
     }
 }

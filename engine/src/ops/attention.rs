@@ -295,7 +295,22 @@ impl Attention {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ops::Tiles;
+    use crate::ops::{Arithmetic, ParameterLayout, Tiles};
+
+    #[test]
+    fn heads_too_wide_for_registers_take_lanes() {
+        let limits = Limits::default();
+        let attention = Units::of(Element::F16, &limits);
+        let kernel = |dim: usize| {
+            let arithmetic = Arithmetic { attention, ..Arithmetic::EXACT };
+            ParameterLayout::new(&limits, arithmetic).attention(Heads { count: 1, dim })
+        };
+        let widest = Tile::MOST_CHANNELS;
+        assert!(
+            matches!(kernel(widest), AttentionKernel::Matrix(units) if !Tile::attention(&limits, units, widest).is_empty())
+        );
+        assert_eq!(kernel(widest + 4), AttentionKernel::Lanes(Element::F32));
+    }
 
     #[test]
     fn few_queries_get_small_tiles_and_only_measuring_gets_one_matrix_a_subgroup() {

@@ -103,6 +103,8 @@ fn variants_have_the_published_sizes() {
         assert_eq!(serde_json::from_str::<Architecture>(&json).unwrap(), architecture);
     }
     assert!(matches!(Architecture::named("vith"), Err(Error::Argument { .. })));
+    let unaligned = Architecture { head_hidden: 302, ..golden("micro") };
+    assert_refused(unaligned.validate(), &["head_hidden", "302", "a multiple of 8 up to 65536"]);
 }
 
 #[test]

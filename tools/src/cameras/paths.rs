@@ -97,7 +97,7 @@ impl CameraArgs {
         }
         let frames = self.frames as usize;
         let (mut own, up) = (world.and_then(|world| world.lens), world.and_then(|world| world.up));
-        let mut lens = self.lens(own.as_ref())?;
+        let lens = self.lens(own.as_ref())?;
         let (home, mut notes) = match (&self.orbit, world.map(|world| &world.origin)) {
             (Some(Some(file)), _) => {
                 let (cameras, notes) = self.of_file(file, world, &lens, true)?;
@@ -107,17 +107,16 @@ impl CameraArgs {
             (_, Some(Origin::Cameras(first))) => (*first, Vec::new()),
             _ => (Pose::IDENTITY, Vec::new()),
         };
-        let home = match up {
-            Some(up) if matches!(self.orbit, Some(None)) => level(&home, up),
+        let home = match (up, &self.orbit) {
+            (Some(up), Some(None)) => level(&home, up),
+            (Some(up), None) => {
+                let upright = upright(Camera { intrinsics: own.unwrap_or(lens), pose: home }, up);
+                own = own.map(|_| upright.intrinsics);
+                upright.pose
+            }
             _ => home,
         };
-        // A photo may be stored on its side.
-        let home = Camera { intrinsics: own.unwrap_or(lens), pose: home };
-        let is_up = |camera: &Camera| up.map_or(1.0, |up| -camera.pose.rotation.y_axis.dot(up));
-        let turned = (1..4).map(|turns| home.turned(turns));
-        let home = turned.fold(home, |best, next| if is_up(&next) > is_up(&best) { next } else { best });
-        lens = self.lens(own.map(|_| &home.intrinsics))?;
-        let home = home.pose;
+        let lens = self.lens(own.as_ref())?;
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
         let path = if self.orbit.is_some() {
             let orbit = Orbit::around(&seen_from(scene, &home))?;
@@ -288,6 +287,13 @@ fn level(pose: &Pose, up: DVec3) -> Pose {
     let forward = pose.rotation.z_axis.reject_from_normalized(up);
     let forward = forward.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
     Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), ..*pose }
+}
+
+/// Turns a picture by quarters: a photo may be stored on its side.
+fn upright(camera: Camera, up: DVec3) -> Camera {
+    let height = |camera: &Camera| -camera.pose.rotation.y_axis.dot(up);
+    let turned = (1..4).map(|turns| camera.turned(turns));
+    turned.fold(camera, |best, next| if height(&next) > height(&best) { next } else { best })
 }
 
 fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {

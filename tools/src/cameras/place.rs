@@ -9,7 +9,7 @@ use zipsplat::{
     Error, Result,
     types::{
         PointCloud,
-        poses::{Capture, CaptureView, colmap_files, read_cloud, write_colmap, write_frames},
+        poses::{Capture, CaptureView, check_colmap_name, colmap_files, read_cloud, write_colmap, write_frames},
         write_atomic, write_points,
     },
 };
@@ -97,9 +97,7 @@ impl ModelOption {
 
     pub fn check_names(&self, photos: &[PathBuf]) -> Result<()> {
         let names = photos.iter().map(|photo| photo.file_name().unwrap_or_default().to_string_lossy());
-        let spaced = names.filter(|name| name.contains(char::is_whitespace)).find(|_| self.colmap_model.is_some());
-        let refused = |name| Err(Error::argument("name of a photo for COLMAP", name, "one without spaces"));
-        spaced.map_or(Ok(()), refused)
+        names.filter(|_| self.colmap_model.is_some()).try_for_each(|name| check_colmap_name(&name))
     }
 
     pub fn save(&self, frames: &[CaptureView], points: Option<&Path>) -> Result<()> {

@@ -165,9 +165,7 @@ impl Render {
             let columns = pictures::sheet_columns(cameras.len());
             session.stage("contact sheet", |_| {
                 outputs::save_picture(&folder.join(SHEET), &contact_sheet(&drawn.small, columns)?)?;
-                outputs::remove_stale(folder, cameras.len(), |path| {
-                    path.extension().is_some_and(|ext| ext == "png") && outputs::is_own(path)
-                })
+                outputs::remove_stale(folder, cameras.len(), "png", outputs::is_own)
             })?;
         }
         let explanation = match cameras.first() {

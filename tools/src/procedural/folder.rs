@@ -62,9 +62,9 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         write_atomic(&folder.join(depth(i)), |out| out.write_all(&npy::encode(&[image.height, image.width], values)))?;
     }
     let ours = is_own(&folder.join(SCENE));
-    remove_stale(&folder.join("images"), count, is_own)?;
-    remove_stale(&folder.join("depth"), count, |path| ours && path.extension().is_some_and(|ext| ext == "npy"))?;
-    remove_stale(&folder.join("labels"), count, |path| ours && path.extension().is_some_and(|ext| ext == "png"))?;
+    remove_stale(&folder.join("images"), count, "png", is_own)?;
+    remove_stale(&folder.join("depth"), count, "npy", |_| ours)?;
+    remove_stale(&folder.join("labels"), count, "png", |_| ours)?;
     write_transforms(folder.join("transforms.json"), &capture.cameras, &names)?;
     write_points(folder.join("points.ply"), &points(capture))?;
     let scene = json!({
@@ -88,7 +88,7 @@ pub fn write_wide(folder: &Path, capture: &Capture, lens: &WideLens, photos: &[W
     let scaled = points.map(|(at, color)| ((*at / capture.meters).as_vec3().to_array(), *color));
     write_points(folder.join("points.ply"), &scaled.collect::<Vec<_>>())?;
     for (sub, extension) in [("depth", "npy"), ("labels", "png")] {
-        remove_stale(&folder.join(sub), 0, |path| path.extension().is_some_and(|ext| ext == extension))?;
+        remove_stale(&folder.join(sub), 0, extension, |_| true)?;
     }
     write_frames(folder.join("transforms.json"), &lens.frames(&capture.cameras, &names)?, Some("points.ply"))
 }

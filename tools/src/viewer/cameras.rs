@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Result,
     types::{
-        Camera, Image, Intrinsics, Pose, World,
+        Camera, Intrinsics, Pose, World,
         poses::{Capture, CaptureView},
         resample::resize_lanczos,
     },
@@ -31,8 +31,6 @@ pub struct InputCamera {
     photo: Option<String>,
     #[serde(skip)]
     frame: CaptureView,
-    #[serde(skip)]
-    file: Option<PathBuf>,
     /// Clockwise quarter turns that show the photo upright.
     #[serde(skip)]
     turns: u32,
@@ -40,16 +38,17 @@ pub struct InputCamera {
 
 impl InputCamera {
     pub fn new(frame: CaptureView, pose: &Pose, file: Option<PathBuf>) -> Self {
-        let turns = file.as_ref().and_then(|file| Image::quarter_turns(file).ok()).unwrap_or(0);
+        let frame = CaptureView { photo: file, ..frame };
+        let turns = frame.quarter_turns();
         let Camera { intrinsics, pose } = Camera { pose: *pose, ..frame.camera }.turned(turns);
         let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
         let matrix = [0, 1, 2].map(|i| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]]);
-        Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: None, frame, file, turns }
+        Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: None, frame, turns }
     }
 
     pub fn has_photo(&self) -> bool {
-        self.file.is_some()
+        self.frame.photo.is_some()
     }
 
     pub fn at(&mut self, address: String) {
@@ -58,7 +57,7 @@ impl InputCamera {
 
     /// Undistorted, at most `side` pixels long; `None` without a photo.
     pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
-        let Some(file) = &self.file else { return Ok(None) };
+        let Some(file) = &self.frame.photo else { return Ok(None) };
         let photo = self.frame.open(file)?.turned(self.turns);
         let longest = photo.width.max(photo.height);
         match side.filter(|side| *side < longest) {

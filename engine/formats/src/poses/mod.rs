@@ -18,7 +18,7 @@ use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion
 use super::{CUT_VIEW_DEG, Image, Lens, LensView, MAX_VIEW_DEG, Masks, PointCloud, file::read_file};
 use crate::{Error, Result};
 
-pub use colmap::{colmap_files, write_colmap};
+pub use colmap::{check_colmap_name, colmap_files, write_colmap};
 pub use scene_scale::{SceneScale, Source};
 pub use transforms::{find_photo, write_frames, write_frames_with, write_transforms};
 

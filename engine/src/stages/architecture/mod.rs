@@ -170,36 +170,31 @@ impl Architecture {
 
     /// Validates the sizes; [`Error::Argument`] names the invalid field.
     pub fn validate(&self) -> Result<()> {
+        // Rows of 16-bit values take whole vectors of 16 bytes.
         let sizes = [
-            ("width", self.width, MAX_SIZE),
-            ("depth", self.depth, MAX_DEPTH),
-            ("heads", self.heads, MAX_SIZE),
-            ("ffn_hidden", self.ffn_hidden, MAX_SIZE),
-            ("patch", self.patch_size, 256),
-            ("position_grid", self.position_grid, 1024),
-            ("camera_depth", self.camera_depth, MAX_DEPTH),
-            ("camera_heads", self.camera_heads, MAX_SIZE),
-            ("camera_hidden", self.camera_hidden, MAX_SIZE),
-            ("camera_pose_hidden", self.camera_pose_hidden, MAX_SIZE),
-            ("fusion_heads", self.fusion_heads, MAX_SIZE),
-            ("fusion_hidden", self.fusion_hidden, MAX_SIZE),
-            ("color_width", self.color_width, MAX_SIZE),
-            ("color_heads", self.color_heads, MAX_SIZE),
-            ("color_hidden", self.color_hidden, MAX_SIZE),
-            ("head_hidden", self.head_hidden, MAX_SIZE),
-            ("gaussians_per_token", self.gaussians_per_token, 1024),
+            ("width", self.width, 8, MAX_SIZE),
+            ("depth", self.depth, 1, MAX_DEPTH),
+            ("heads", self.heads, 1, MAX_SIZE),
+            ("ffn_hidden", self.ffn_hidden, 8, MAX_SIZE),
+            ("patch", self.patch_size, 2, 256),
+            ("position_grid", self.position_grid, 1, 1024),
+            ("camera_depth", self.camera_depth, 1, MAX_DEPTH),
+            ("camera_heads", self.camera_heads, 1, MAX_SIZE),
+            ("camera_hidden", self.camera_hidden, 8, MAX_SIZE),
+            ("camera_pose_hidden", self.camera_pose_hidden, 8, MAX_SIZE),
+            ("fusion_heads", self.fusion_heads, 1, MAX_SIZE),
+            ("fusion_hidden", self.fusion_hidden, 8, MAX_SIZE),
+            ("color_width", self.color_width, 8, MAX_SIZE),
+            ("color_heads", self.color_heads, 1, MAX_SIZE),
+            ("color_hidden", self.color_hidden, 8, MAX_SIZE),
+            ("head_hidden", self.head_hidden, 8, MAX_SIZE),
+            ("gaussians_per_token", self.gaussians_per_token, 1, 1024),
         ];
         let used = |field: &str| self.takes_cameras() || !field.starts_with("camera_");
-        for (field, found, max) in sizes.into_iter().filter(|(field, ..)| used(field)) {
-            // Whole vectors of 16 bytes in rows of 16-bit values.
-            let of = if max == MAX_SIZE && !field.ends_with("heads") { 8 } else { 1 };
+        for (field, found, of, max) in sizes.into_iter().filter(|(field, ..)| used(field)) {
             let fits = (1..=max).contains(&found) && found.is_multiple_of(of);
-            self.expect(
-                fits,
-                field,
-                found,
-                if of == 1 { format!("1 to {max}") } else { format!("a multiple of {of} up to {max}") },
-            )?;
+            let expected = if of == 1 { format!("1 to {max}") } else { format!("a multiple of {of} up to {max}") };
+            self.expect(fits, field, found, expected)?;
         }
         let heads = [
             ("heads", self.heads, self.width),
@@ -211,7 +206,6 @@ impl Architecture {
             let fits = width.is_multiple_of(found) && (width / found).is_multiple_of(4);
             self.expect(fits, field, found, format!("a divisor of the width {width} into heads of whole quads"))?;
         }
-        self.expect(self.patch_size.is_multiple_of(2), "patch", self.patch_size, "an even number of pixels")?;
         self.expect(self.alt_start < self.depth, "alt_start", self.alt_start, format!("below {}", self.depth))?;
         self.expect(self.sh_degree <= MAX_SH_DEGREE, "sh_degree", self.sh_degree, format!("0 to {MAX_SH_DEGREE}"))?;
         self.backbone().validate_pairs(&self.name)?;

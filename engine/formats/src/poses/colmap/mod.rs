@@ -2,7 +2,7 @@
 
 mod write;
 
-pub use write::{colmap_files, write_colmap};
+pub use write::{check_colmap_name, colmap_files, write_colmap};
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

@@ -11,6 +11,17 @@ pub fn colmap_files(folder: impl AsRef<Path>) -> [PathBuf; 3] {
     ["cameras.txt", "images.txt", "points3D.txt"].map(|name| folder.as_ref().join(name))
 }
 
+/// Checks that COLMAP's text can hold the name of a photo.
+///
+/// # Errors
+/// [`Error::Argument`] for an empty one or spaces.
+pub fn check_colmap_name(name: &str) -> Result<()> {
+    if name.is_empty() || name.contains(char::is_whitespace) {
+        return Err(Error::argument("name of a photo for COLMAP", format!("{name:?}"), "one without spaces"));
+    }
+    Ok(())
+}
+
 /// Writes a COLMAP text model to [`colmap_files`] of an existing folder. Frames share equal lenses.
 /// Without matches, points have no tracks and images no 2D points.
 ///
@@ -30,13 +41,7 @@ pub fn write_colmap(folder: impl AsRef<Path>, frames: &[CaptureView], points: &[
                 expected,
             ));
         }
-        if frame.name.is_empty() || frame.name.contains(char::is_whitespace) {
-            return Err(Error::argument(
-                "name of a photo for COLMAP",
-                format!("{:?}", frame.name),
-                "one without spaces",
-            ));
-        }
+        check_colmap_name(&frame.name)?;
         let lens = camera(frame)?;
         let place = lenses.iter().position(|other| *other == lens).unwrap_or(lenses.len());
         lenses.extend((place == lenses.len()).then_some(lens));
