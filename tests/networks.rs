@@ -46,7 +46,7 @@ pub fn images(golden: &Golden) -> Vec<Image> {
 /// At the network's scale, without pooling.
 pub fn options(ratio: f64, token_selection: TokenSelection) -> ReconstructOptions {
     let ratio = Ratio::Fixed(ratio);
-    ReconstructOptions { ratio, token_selection, scene_scale: Some(1.0), kv_pool: 1, ..ReconstructOptions::default() }
+    ReconstructOptions { ratio, token_selection, scene_scale: Some(1.0), ..ReconstructOptions::default() }
 }
 
 #[track_caller]

@@ -27,7 +27,7 @@ pub use zipsplat::{
     gpu::{Device, DeviceOptions, Element, Limits, Recorder, Run, Tensor},
     ops::{Arithmetic, Precision, Rows},
     random::Random,
-    reconstruct::{Model, Ratio, ReconstructOptions, Reconstruction, TokenSelection},
+    reconstruct::{KvPool, Model, Ratio, ReconstructOptions, Reconstruction, TokenSelection},
     stages::render::{Depth, RenderOptions, RenderOutput, Renderer},
     types::{Camera, Image, Intrinsics, Pose, Scene, matrix_from_quaternion, poses::Capture},
     weights::{Architecture, Checkpoint, Dtype},

@@ -49,9 +49,9 @@ class Gaussians(Sized):
 
 
 class ReconstructOptions(Sized):
-    _fields_ = fields(world=i32, ratio=f64, scene_scale=f64, token_selection=i32, kv_pool=u32, input_size=2 * u32,
+    _fields_ = fields(world=i32, ratio=f64, scene_scale=f64, token_selection=i32, keep_features=u32, input_size=2 * u32,
                       seed=u64, camera_count=size, cameras=pointer, progress=pointer, user_data=pointer,
-                      capture=pointer, keep_features=u32, block_size=u32, block_overlap=u32, reserved=u32)
+                      capture=pointer, kv_pool=pointer, block_size=u32, block_overlap=u32)
 
 
 RGBA8, RGB8, RGB_F32 = 0, 1, 3

@@ -1,9 +1,10 @@
 // Softmax attention of one head over one sequence.
 //
 // Q         [heads, sequences * queries, DIM] ELEMENT, scaled by 1 / sqrt(DIM)
-// K         [heads, sequences, DIM, padded keys] ELEMENT, keys padded to a multiple of 4
-// V         [heads, sequences * keys, DIM] ELEMENT
-// LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
+// K         [heads, DIM, common_keys] ELEMENT, keys padded to a multiple of 4; from row own_first
+//           on [heads, sequences, DIM, keys] of each sequence's own, padded alike
+// V         [heads, common_keys, DIM] ELEMENT; from row own_first on [heads, sequences * keys, DIM]
+// LogCounts [sequences, common_keys] f32, added to scores; read if POOLED, else common_keys is 0
 // Out       [sequences * queries, heads * DIM] ELEMENT
 //
 // One subgroup owns ROWS queries of a head. A lane scores 4 keys, then gathers 4 channels VECTORS
@@ -39,6 +40,8 @@ layout(push_constant) uniform Push {
     uint keys;
     uint sequences;
     uint heads;
+    uint common_keys;
+    uint own_first;
 };
 
 const uint QUADS = DIM / 4;
@@ -71,13 +74,15 @@ void score(uint q_at[ROWS], uint k_at, uint key_quads, out vec4 scores[ROWS]) {
 
 void weigh(uint sequence, uint first_key, inout vec4 scores[ROWS]) {
     vec4 more;
-    [[unroll]] for (uint i = 0; i < 4; i++) more[i] = log_counts[sequence * keys + min(first_key + i, keys - 1)];
+    [[unroll]] for (uint i = 0; i < 4; i++) {
+        more[i] = log_counts[sequence * common_keys + min(first_key + i, common_keys - 1)];
+    }
     [[unroll]] for (uint r = 0; r < ROWS; r++) scores[r] += more;
 }
 
 // Turns scores into shared weights and rescales the running sums.
-void softmax(uint first_key, vec4 scores[ROWS]) {
-    bvec4 real = lessThan(first_key + uvec4(0, 1, 2, 3), uvec4(keys));
+void softmax(uint first_key, uint end, vec4 scores[ROWS]) {
+    bvec4 real = lessThan(first_key + uvec4(0, 1, 2, 3), uvec4(end));
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         vec4 s = mix(vec4(LOWEST), scores[r], real);
         float tile_highest = subgroupMax(max(max(s.x, s.y), max(s.z, s.w)));
@@ -91,22 +96,23 @@ void softmax(uint first_key, vec4 scores[ROWS]) {
     }
 }
 
-// Adds the weighted values of a tile of keys.
-void gather(uint v_base, uint first_key, uint tile_quads) {
+// Adds the weighted values of a tile of keys before `end`.
+void gather(uint v_base, uint first_key, uint end) {
     uint lanes = gl_WorkGroupSize.x;
     // Surplus lanes keep the loop uniform.
     uint part = gl_LocalInvocationID.x / QUADS % PARTS;
     uint first_channel = gl_LocalInvocationID.x % QUADS;
+    uint tile_quads = min(lanes, (end - first_key + 3) / 4);
     for (uint first = 0; first < tile_quads; first += PARTS) {
         // Weights past the end are 0.
         uint j = first + part;
         uint key = first_key + 4 * j;
         [[unroll]] for (uint c = 0; c < VECTORS; c++) {
             uint channel = min(first_channel + c * lanes, QUADS - 1);
-            vec4 v0 = from_ELEMENT4(v[v_base + min(key, keys - 1) * QUADS + channel]);
-            vec4 v1 = from_ELEMENT4(v[v_base + min(key + 1, keys - 1) * QUADS + channel]);
-            vec4 v2 = from_ELEMENT4(v[v_base + min(key + 2, keys - 1) * QUADS + channel]);
-            vec4 v3 = from_ELEMENT4(v[v_base + min(key + 3, keys - 1) * QUADS + channel]);
+            vec4 v0 = from_ELEMENT4(v[v_base + min(key, end - 1) * QUADS + channel]);
+            vec4 v1 = from_ELEMENT4(v[v_base + min(key + 1, end - 1) * QUADS + channel]);
+            vec4 v2 = from_ELEMENT4(v[v_base + min(key + 2, end - 1) * QUADS + channel]);
+            vec4 v3 = from_ELEMENT4(v[v_base + min(key + 3, end - 1) * QUADS + channel]);
             [[unroll]] for (uint r = 0; r < ROWS; r++) {
                 vec4 w = weights[r][j];
                 sum[r][c] += w.x * v0;
@@ -136,9 +142,10 @@ void main() {
     uint first_query = gl_WorkGroupID.x * ROWS;
     uint sequence = gl_WorkGroupID.z;
     uint head_sequence = gl_WorkGroupID.y * sequences + sequence;
-    uint key_quads = (keys + 3) / 4;
-    uint k_base = head_sequence * DIM * key_quads;
-    uint v_base = head_sequence * keys * QUADS;
+    uint own_quads = (keys + 3) / 4;
+    uint common_quads = POOLED ? (common_keys + 3) / 4 : 0;
+    uint common_tiles = (common_quads + lanes - 1) / lanes;
+    uint tiles = common_tiles + (own_quads + lanes - 1) / lanes;
 
     uint q_at[ROWS];
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
@@ -148,15 +155,22 @@ void main() {
         [[unroll]] for (uint c = 0; c < VECTORS; c++) sum[r][c] = vec4(0.0);
     }
 
-    for (uint tile = 0; tile < key_quads; tile += lanes) {
+    for (uint i = 0; i < tiles; i++) {
+        bool own = !POOLED || i >= common_tiles;
+        uint tile = (own ? i - common_tiles : i) * lanes;
+        uint end = own ? keys : common_keys;
+        uint key_quads = own ? own_quads : common_quads;
+        uint k_base = own ? own_first * QUADS + head_sequence * DIM * own_quads
+                          : gl_WorkGroupID.y * DIM * common_quads;
+        uint v_base = (own ? own_first + head_sequence * keys : gl_WorkGroupID.y * common_keys) * QUADS;
         uint key_quad = tile + gl_LocalInvocationID.x;
         vec4 scores[ROWS];
         score(q_at, k_base + min(key_quad, key_quads - 1), key_quads, scores);
-        if (POOLED) weigh(sequence, 4 * key_quad, scores);
-        softmax(4 * key_quad, scores);
+        if (!own) weigh(sequence, 4 * key_quad, scores);
+        softmax(4 * key_quad, end, scores);
         subgroupMemoryBarrierShared();
         subgroupBarrier();
-        gather(v_base, 4 * tile, min(lanes, key_quads - tile));
+        gather(v_base, 4 * tile, end);
         subgroupBarrier();
     }
 

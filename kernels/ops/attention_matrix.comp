@@ -2,8 +2,9 @@
 //
 // Q         [heads, sequences * queries, CHANNELS] FACTOR, scaled by 1 / sqrt(head size),
 //           readable one workgroup past its end
-// K, V      [heads, sequences * keys, CHANNELS] FACTOR, 0 past the head size
-// LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
+// K, V      [heads, common_keys, CHANNELS] FACTOR, 0 past the head size; from row own_first on
+//           [heads, sequences * keys, CHANNELS] of each sequence's own
+// LogCounts [sequences, common_keys] f32, added to scores; read if POOLED, else common_keys is 0
 // Out       [sequences * queries, heads * dim] FACTOR, saturated
 //
 // Weights go from sums to factors through shared memory.

@@ -1,9 +1,10 @@
 // Attention of ops/attention with uniform loads, for CPU drivers.
 //
 // Q         [heads, sequences * queries, DIM] f32, scaled by 1 / sqrt(DIM)
-// K         [heads, sequences, panels, DIM, PANEL] f32, the last panel padded
-// V         [heads, sequences * keys, DIM] f32
-// LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
+// K         [heads, panels, DIM, PANEL] f32, common_keys and padding; from row own_first on
+//           [heads, sequences, panels, DIM, PANEL] of each sequence's own, padded alike
+// V         [heads, common_keys, DIM] f32; from row own_first on [heads, sequences * keys, DIM]
+// LogCounts [sequences, common_keys] f32, added to scores; read if POOLED, else common_keys is 0
 // Out       [sequences * queries, heads * DIM] f32
 //
 // One subgroup owns TILE_ROWS queries of a head. A key's channels are in one memory page. See
@@ -36,6 +37,8 @@ layout(push_constant) uniform Push {
     uint keys;
     uint sequences;
     uint heads;
+    uint common_keys;
+    uint own_first;
     uvec2 q_address;
     uvec2 k_address;
     uvec2 v_address;
@@ -50,6 +53,8 @@ float total[TILE_ROWS];
 float sum[TILE_ROWS][VECTORS];
 // Scores, then weights.
 float weight[TILE_ROWS][KEY_VECTORS];
+
+uint64_t rows(uint count) { return 4 * uint64_t(count) * DIM; }
 
 void score(uint64_t k_at) {
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
@@ -120,9 +125,13 @@ void main() {
     uint first_query = gl_WorkGroupID.x * TILE_ROWS;
     uint sequence = gl_WorkGroupID.z;
     uint head_sequence = gl_WorkGroupID.y * sequences + sequence;
-    uint64_t padded_keys = (keys + PANEL - 1) / PANEL * PANEL;
-    uint64_t k_base = packUint2x32(k_address) + 4 * head_sequence * padded_keys * DIM;
-    uint64_t v_base = packUint2x32(v_address) + 4 * uint64_t(head_sequence) * keys * DIM;
+    uint padded_common = POOLED ? (common_keys + PANEL - 1) / PANEL * PANEL : 0;
+    uint padded_keys = (keys + PANEL - 1) / PANEL * PANEL;
+    uint64_t k_base = packUint2x32(k_address), v_base = packUint2x32(v_address);
+    uint64_t own_k = k_base + rows(own_first) + head_sequence * rows(padded_keys);
+    uint64_t own_v = v_base + rows(own_first) + head_sequence * rows(keys);
+    k_base += gl_WorkGroupID.y * rows(padded_common);
+    v_base += gl_WorkGroupID.y * rows(common_keys);
 
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         uint query = head_sequence * queries + min(first_query + r, queries - 1);
@@ -134,14 +143,15 @@ void main() {
 
     uint first = 0;
     do {
-        uint64_t offset = 4 * uint64_t(first) * DIM;
-        uint count = min(keys - first, PANEL);
-        score(k_base + offset);
-        if (POOLED) weigh(sequence * keys + first, count);
+        bool own = !POOLED || first >= padded_common;
+        uint key = own ? first - padded_common : first;
+        uint count = min((own ? keys : common_keys) - key, PANEL);
+        score((own ? own_k : k_base) + rows(key));
+        if (!own) weigh(sequence * common_keys + key, count);
         softmax(count);
-        gather(v_base + offset, count);
+        gather((own ? own_v : v_base) + rows(key), count);
         first += PANEL;
-    } while (first < keys);
+    } while (first < padded_common + keys);
 
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         float all = subgroupAdd(total[r]);

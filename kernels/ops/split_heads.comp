@@ -3,7 +3,8 @@
 // Projection   [rows, stride] ELEMENT, columns from `column` on
 // Weight, Bias [dim] f32, affine norm over a head's channels; read if NORM
 // Rotary       [turned, dim / 2] f32 (cos, sin) per pair; read if ROTATE
-// LogCounts    [out_rows] f32, log of the number of pooled rows; written if COUNT
+// LogCounts    [out_rows] f32, log of the number of pooled rows; [views, out_rows] if OWN, LOWEST
+//              for a view's own rows; written if COUNT
 // Out          [heads, out_rows, out_dim] ELEMENT, 0 from channel dim on;
 //              [heads, sequences, panels, dim, panel] if TRANSPOSE, the last panel padded
 //
@@ -16,6 +17,7 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #include "shared/index.glsl"
+#include "shared/numbers.glsl"
 
 layout(local_size_x_id = 0) in;
 
@@ -27,6 +29,9 @@ layout(constant_id = 3) const bool TRANSPOSE = false;
 layout(constant_id = 4) const uint POOL = 1;
 layout(constant_id = 5) const bool COUNT = false;
 layout(constant_id = 6) const uint SUBGROUPS = 1;
+layout(constant_id = 7) const uint LEADING = 0; // rows of a view before its patches, if POOL > 1
+layout(constant_id = 8) const bool OWN = false;
+layout(constant_id = 9) const bool FIRST = false; // the first view is not pooled
 
 layout(set = 0, binding = 0) readonly buffer Projection { ELEMENT projection[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
@@ -49,7 +54,7 @@ layout(push_constant) uniform Push {
     uint tokens;    // rows of a view
     uint turned;    // leading rows of a view that rotate
     uint columns;   // patches across a view, if POOL > 1
-    uint leading;   // rows of a view before its patches
+    uint views;     // if OWN
     float scale;
     float eps;
 };
@@ -60,18 +65,20 @@ uint from;
 struct Group {
     uint first;
     uvec2 size; // patches along x and y
+    uint view;  // 0 if POOL is 1
 };
 
 Group group_of(uint row) {
-    if (POOL == 1) return Group(row, uvec2(1));
-    uvec2 patches = uvec2(columns, (tokens - leading) / columns);
+    if (POOL == 1) return Group(row, uvec2(1), 0);
+    uvec2 patches = uvec2(columns, (tokens - LEADING) / columns);
     uvec2 groups = (patches + POOL - 1) / POOL;
-    uint each = leading + groups.x * groups.y;
-    uint view = row / each * tokens;
+    uint each = LEADING + groups.x * groups.y;
+    uint first = row / each * tokens;
+    uint view = FIRST ? 1 + (first_row + row - tokens) / each : (first_row + row) / each;
     uint within = row % each;
-    if (within < leading) return Group(view + within, uvec2(1));
-    uvec2 at = POOL * uvec2((within - leading) % groups.x, (within - leading) / groups.x);
-    return Group(view + leading + at.y * columns + at.x, min(patches - at, uvec2(POOL)));
+    if (within < LEADING) return Group(first + within, uvec2(1), view);
+    uvec2 at = POOL * uvec2((within - LEADING) % groups.x, (within - LEADING) / groups.x);
+    return Group(first + LEADING + at.y * columns + at.x, min(patches - at, uvec2(POOL)), view);
 }
 
 uint member(Group group, uint i) { return group.first + i / group.size.x * columns + i % group.size.x; }
@@ -141,5 +148,10 @@ void main() {
             store(head, first_row + row, c, 0.0);
         }
     }
-    if (COUNT && head == 0 && gl_SubgroupInvocationID == 0) log_counts[first_row + row] = log(float(members));
+    if (COUNT && head == 0) {
+        for (uint v = gl_SubgroupInvocationID; v < (OWN ? views : 1); v += gl_SubgroupSize) {
+            bool own = OWN && v == group.view;
+            log_counts[v * out_rows + first_row + row] = own ? LOWEST : log(float(members));
+        }
+    }
 }

@@ -11,7 +11,7 @@ use super::fuse::cross_attention::cross_attention;
 use super::gaussians::activate::activate;
 use super::model::Model;
 use super::ops::add::add;
-use super::ops::split_heads::Pool;
+use super::ops::split_heads::Keys;
 use super::ops::{gather_rows::gather_rows, place_columns::join_columns};
 use super::{vggt, widen};
 
@@ -30,12 +30,11 @@ pub struct Tokens {
     pub taps: Taps,
 }
 
-/// Computes tokens of images and known cameras; the backbone's attention across views pools
-/// `side` x `side` patches.
-pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usize) -> Tokens {
+/// Computes tokens of images and known cameras.
+pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, keys: &Keys) -> Tokens {
     let architecture = &model.architecture;
     let mut taps = Taps::new();
-    let features = backbone(model, images, priors, side, &mut taps);
+    let features = backbone(model, images, priors, keys, &mut taps);
     let layers: Vec<Vec<f64>> =
         features.iter().enumerate().map(|(layer, feature)| prepare(model, feature, layer)).collect();
     for (j, (feature, layer)) in features.iter().zip(&layers).enumerate() {
@@ -48,21 +47,22 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: us
 }
 
 /// `[views * patches, 2 width]` per output layer, deepest first.
-fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usize, taps: &mut Taps) -> Vec<Vec<f64>> {
+fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, keys: &Keys, taps: &mut Taps) -> Vec<Vec<f64>> {
     let architecture = &model.architecture;
     if model.scope("backbone.aggregator").has("camera_token") {
-        return vggt::features(model, images, side, taps);
+        return vggt::features(model, images, keys, taps);
     }
     let weights = model.scope("backbone.backbone");
     let [rows, columns] = images.grid(architecture.patch);
     let token_count = 1 + rows * columns;
     let local_positions = rope::local_positions(rows, columns);
-    let global_positions = rope::global_positions(rows, columns).repeat(images.views);
+    let global_positions = rope::global_positions(rows, columns);
 
     let mut x = embed(&weights, images, architecture.patch, architecture.width);
     taps.insert("bb/tokens0".into(), x.clone());
     let mut local = Vec::new();
     let mut features = Vec::new();
+    let mut global_blocks = 0;
     for i in 0..architecture.depth {
         if i == architecture.alt_start {
             let cameras = cameras(model, images.views, priors, taps);
@@ -70,13 +70,19 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usiz
             taps.insert("bb/alt_in".into(), x.clone());
         }
         let global = i >= architecture.alt_start && i % 2 == 1;
-        let (sequences, positions) = if global { (1, &global_positions) } else { (images.views, &local_positions) };
+        let (sequences, pool, positions) = if global {
+            let (sequences, pool) = keys.of(global_blocks, images.views, [rows, columns], 1);
+            global_blocks += 1;
+            (sequences, pool, &global_positions)
+        } else {
+            (images.views, None, &local_positions)
+        };
         let options = Options {
             heads: architecture.heads,
             eps: BACKBONE_EPS,
             sequences,
             positions: (i >= architecture.rope_start).then_some(positions.as_slice()),
-            pool: (global && side > 1).then_some(Pool { side, grid: [rows, columns], leading: 1 }),
+            pool,
         };
         x = block(&weights.scope(&format!("blocks.{i}")), &x, options);
         taps.insert(format!("bb/block{i}"), x.clone());

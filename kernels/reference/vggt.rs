@@ -10,7 +10,7 @@ use super::model::{Model, Scope, Weights};
 use super::ops::activation::silu;
 use super::ops::add::add;
 use super::ops::place_columns::join_columns;
-use super::ops::split_heads::Pool;
+use super::ops::split_heads::Keys;
 use super::widen;
 
 #[derive(Clone, Debug)]
@@ -32,9 +32,8 @@ const EMBEDDING_EPS: f64 = 1e-6;
 const MODULATED_EPS: f64 = 1e-6;
 const ITERATIONS: usize = 4;
 
-/// Computes the tokens after both blocks of each pair, `[views, LEADING + patches, width]`, with
-/// keys across views pooled over `side` x `side` patches.
-pub fn pairs(weights: &Scope, sizes: &Sizes, images: &Images, side: usize, taps: &mut Taps) -> Vec<[Vec<f64>; 2]> {
+/// Computes the tokens after both blocks of each pair, `[views, LEADING + patches, width]`.
+pub fn pairs(weights: &Scope, sizes: &Sizes, images: &Images, keys: &Keys, taps: &mut Taps) -> Vec<[Vec<f64>; 2]> {
     let [rows, columns] = images.grid(sizes.patch);
     let embedded = embed(&weights.scope("patch_embed"), sizes, images, taps);
     let special = |view: usize| {
@@ -48,16 +47,15 @@ pub fn pairs(weights: &Scope, sizes: &Sizes, images: &Images, side: usize, taps:
     taps.insert("agg/tokens0".into(), x.clone());
     let mut positions = vec![[0.0; 2]; LEADING - 1];
     positions.extend(rope::local_positions(rows, columns));
-    let of_all_views = positions.repeat(images.views);
-    let pool = (side > 1).then_some(Pool { side, grid: [rows, columns], leading: LEADING });
     let pair = |i: usize| {
-        let mut step = |kind: &str, sequences, positions, pool| {
-            let options = Options { heads: sizes.heads, eps: EPS, sequences, positions: Some(positions), pool };
+        let mut step = |kind: &str, sequences, pool| {
+            let options = Options { heads: sizes.heads, eps: EPS, sequences, positions: Some(&positions), pool };
             x = block(&weights.scope(&format!("{kind}_blocks.{i}")), &x, options);
             taps.insert(format!("agg/{kind}{i}"), x.clone());
             x.clone()
         };
-        [step("frame", images.views, &positions, None), step("global", 1, &of_all_views, pool)]
+        let (sequences, pool) = keys.of(i, images.views, [rows, columns], LEADING);
+        [step("frame", images.views, None), step("global", sequences, pool)]
     };
     (0..sizes.pairs).map(pair).collect()
 }
@@ -93,11 +91,11 @@ pub fn feature([frame, global]: &[Vec<f64>; 2], views: usize, width: usize) -> V
 }
 
 /// Returns the features of ZipSplat's decoder, deepest first.
-pub fn features(model: &Model, images: &Images, side: usize, taps: &mut Taps) -> Vec<Vec<f64>> {
+pub fn features(model: &Model, images: &Images, keys: &Keys, taps: &mut Taps) -> Vec<Vec<f64>> {
     let a = &model.architecture;
     let (embedding, pairs_count) = (a.alt_start, (a.depth - a.alt_start) / 2);
     let sizes = Sizes { patch: a.patch, width: a.width, heads: a.heads, embedding, pairs: pairs_count };
-    let all = pairs(&model.scope("backbone.aggregator"), &sizes, images, side, taps);
+    let all = pairs(&model.scope("backbone.aggregator"), &sizes, images, keys, taps);
     let deepest_first = a.out_layers.iter().rev();
     deepest_first.map(|block| feature(&all[(block - embedding) / 2], images.views, a.width)).collect()
 }

@@ -55,6 +55,8 @@ layout(push_constant) uniform Push {
     uint sequences;
     uint heads;
     uint dim;
+    uint common_keys;
+    uint own_first;
 };
 
 shared uvec4 staged[2 * TILE * STRIDE];
@@ -69,11 +71,24 @@ Sums score[REPEAT_M * KEYS];
 Sums sums[REPEAT_M * BLOCKS];
 uint own; // first vector of this subgroup in scratch
 
-void load(uint base, uint first_key) {
+// Common keys have the first tiles.
+uint common_tiles() { return POOLED ? (common_keys + TILE - 1) / TILE : 0; }
+
+bool is_common(uint tile) { return POOLED && tile < common_tiles(); }
+
+// The tile's keys before the end of its keys.
+uint keys_of(uint tile) { return is_common(tile) ? common_keys - tile * TILE : keys - (tile - common_tiles()) * TILE; }
+
+void load(uint tile) {
+    uint own_tile = tile - common_tiles();
+    uint head_sequence = gl_WorkGroupID.y * sequences + gl_WorkGroupID.z;
+    uint row = is_common(tile) ? gl_WorkGroupID.y * common_keys + tile * TILE
+                               : own_first + head_sequence * keys + own_tile * TILE;
+    uint last = keys_of(tile) * PIECES - 1;
     [[unroll]] for (uint i = 0; i < LOADS; i++) {
-        uint at = first_key * PIECES + i * THREADS + gl_LocalInvocationID.x;
-        next_k[i] = k[base + min(at, keys * PIECES - 1)];
-        next_v[i] = v[base + min(at, keys * PIECES - 1)];
+        uint at = row * PIECES + min(i * THREADS + gl_LocalInvocationID.x, last);
+        next_k[i] = k[at];
+        next_v[i] = v[at];
     }
 }
 
@@ -87,10 +102,12 @@ void stage() {
     }
 }
 
-void stage_biases(uint first_key) {
+void stage_biases(uint tile) {
+    uint count = keys_of(tile);
     for (uint i = gl_LocalInvocationID.x; i < TILE; i += THREADS) {
-        float bias = POOLED ? log_counts[gl_WorkGroupID.z * keys + min(first_key + i, keys - 1)] : 0.0;
-        biases[i] = first_key + i < keys ? bias : LOWEST;
+        float bias = 0.0;
+        if (is_common(tile)) bias = log_counts[gl_WorkGroupID.z * common_keys + tile * TILE + min(i, count - 1)];
+        biases[i] = i < count ? bias : LOWEST;
     }
 }
 
@@ -118,13 +135,13 @@ void add_values(uint group) {
     }
 }
 
-// Attends to the loaded tile, and loads the next.
-void attend(uint kv_base, uint first_key, const bool biased) {
+// Attends to the loaded tile, and loads the next of `tiles`.
+void attend(uint tile, uint tiles, const bool biased) {
     barrier();
     stage();
-    if (biased) stage_biases(first_key);
+    if (biased) stage_biases(tile);
     barrier();
-    if (first_key + TILE < keys) load(kv_base, first_key + TILE);
+    if (tile + 1 < tiles) load(tile + 1);
     [[unroll]] for (uint n = 0; n < KEYS; n++) {
         Sums bias = Sums(0);
         if (biased) coopMatLoad(bias, biases, n * MATRIX_N, 0, ROW_MAJOR); // every row is the same
@@ -147,7 +164,6 @@ void attend(uint kv_base, uint first_key, const bool biased) {
 void main() {
     uint head_sequence = gl_WorkGroupID.y * sequences + gl_WorkGroupID.z;
     uint first_query = (gl_WorkGroupID.x * SUBGROUPS + gl_SubgroupID) * ROWS;
-    uint kv_base = head_sequence * keys * PIECES;
     own = gl_SubgroupID * SCRATCH;
 
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
@@ -160,10 +176,11 @@ void main() {
     }
     softmax_begin();
 
-    uint unbiased = POOLED || CPU ? 0 : keys / TILE * TILE;
-    load(kv_base, 0);
-    for (uint first_key = 0; first_key < unbiased; first_key += TILE) attend(kv_base, first_key, false);
-    for (uint first_key = unbiased; first_key < keys; first_key += TILE) attend(kv_base, first_key, true);
+    uint tiles = common_tiles() + (keys + TILE - 1) / TILE;
+    uint unbiased = POOLED || CPU ? 0 : keys / TILE;
+    load(0);
+    for (uint tile = 0; tile < unbiased; tile++) attend(tile, tiles, false);
+    for (uint tile = unbiased; tile < tiles; tile++) attend(tile, tiles, true);
 
     softmax_end();
     uint strip = own + STRIP;

@@ -2,12 +2,14 @@
 
 use zipsplat::{
     Result,
+    reconstruct::KvPool,
     types::{Camera, Image, Intrinsics},
     weights::{Checkpoint, Values},
 };
 use zipsplat_reference::{
     backbone::{camera_encoder::Prior, patchify::Images},
     model::{Architecture, Model, Weights},
+    ops::split_heads::Keys,
 };
 
 pub fn weights(values: &Values) -> Result<Weights> {
@@ -38,6 +40,13 @@ pub fn model(checkpoint: &Checkpoint) -> Result<Model> {
         sh_degree: a.sh_degree,
     };
     Ok(Model { architecture, weights: weights(checkpoint)? })
+}
+
+pub fn keys(pool: KvPool) -> Keys {
+    match pool {
+        KvPool::Fixed { sides, own, first } => Keys { sides: sides.into(), own, first },
+        KvPool::Auto => Keys::all(),
+    }
 }
 
 pub fn prior(Camera { intrinsics, pose }: &Camera) -> Prior {

@@ -108,7 +108,7 @@ fn photos_become_a_scene_in_blocks() {
         (zs_reconstruct_options { keep_features: 1, ..blocks }, ["keep_features", "2 blocks"]),
         (zs_reconstruct_options { block_overlap: 2, ..blocks }, ["block overlap", "found 2"]),
         (zs_reconstruct_options { block_size: 193, ..blocks }, ["block size", "1 to 192"]),
-        (zs_reconstruct_options { reserved: 1, ..blocks }, ["zs_reconstruct_options", "reserved"]),
+        (zs_reconstruct_options { kv_pool: c"5".as_ptr(), ..blocks }, ["kv_pool: found 5", "local/2"]),
     ] {
         refused(try_reconstruct(&model, &images, &options), ZS_ERROR_ARGUMENT, &words);
     }

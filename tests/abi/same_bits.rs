@@ -93,15 +93,15 @@ fn options_and_cameras_give_rusts_scene() {
         let mut options =
             zs_reconstruct_options { ratio: number, token_selection: choice as i32, seed: 7, ..reconstruct_options() };
         if posed {
-            (options.cameras, options.camera_count, options.kv_pool) = (c_cameras.as_ptr(), 3, 2);
+            (options.cameras, options.camera_count, options.kv_pool) = (c_cameras.as_ptr(), 3, c"2+own".as_ptr());
         }
-        let (cameras, pool) = if posed { (Some(relative.clone()), 2) } else { (None, 1) };
+        let (cameras, pool) = if posed { (Some(relative.clone()), "2+own") } else { (None, "1") };
         let request = ReconstructOptions {
             ratio,
             token_selection: selection,
             cameras,
             scene_scale: Some(1.0),
-            kv_pool: pool,
+            kv_pool: pool.parse().unwrap(),
             ..ReconstructOptions::default()
         };
         let expected = bits(&rust_scene(&checkpoint(), &photos, &request));

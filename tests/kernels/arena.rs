@@ -169,7 +169,7 @@ fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, 
     }
     network.record(
         &mut rec,
-        Shape { grid, tokens: grid.tokens() / 2, kept: TokenSampling::Kmeans(5), cameras: true, kv_pool: 1 },
+        Shape { grid, tokens: grid.tokens() / 2, kept: TokenSampling::Kmeans(5), cameras: true, kv_pool: KvPool::ALL },
     );
     let plan = rec.finish().unwrap();
     (plan.arena_map(), plan.arena_bytes())

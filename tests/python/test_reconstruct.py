@@ -292,7 +292,7 @@ def test_invalid_arguments_raise(model: zipsplat.Model, photos: list[Path], capt
         ([picture], {"world": "mine"}, ValueError, "first_camera"),
         ([picture], {"world": "input_cameras"}, zipsplat.ArgumentError, "world"),
         ([picture], {"input_size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
-        ([picture], {"kv_pool": 0}, ValueError, "kv_pool: found 0"),
+        ([picture], {"kv_pool": 0}, ValueError, "kv_pool: found 0, expected auto"),
         ([picture], {"block_size": 0}, ValueError, "block_size: found 0"),
         ([picture], {"block_size": 193}, ValueError, "block size: found 193"),
         ([picture], {"input_size": (0, 70)}, ValueError, "input_size: found 0"),

@@ -4,7 +4,7 @@
 //! torch.utils.flop_counter; k-means is five assignments and one search, each of 2 N K D.
 
 use zipsplat::gpu::Profile;
-use zipsplat::reconstruct::{Network, Shape};
+use zipsplat::reconstruct::{Network, NetworkPlan, Shape};
 use zipsplat_tests::prelude::*;
 
 const REFERENCE: &str = include_str!("../data/flops.csv");
@@ -42,19 +42,27 @@ fn pooled_keys_take_as_much_less() {
         let network = Network::new(&architecture, &limits, Arithmetic::EXACT);
         network.plan(&limits, shape).expect("it fits")
     };
-    let [all, pooled] = [1, 2].map(|side| plan(shape.pooled(side).expect("a side")));
-    let [before, after] = [&all, &pooled].map(|made| {
+    let counts = |made: &NetworkPlan| {
         let profile = Profile::outline(&made.plan);
         ["backbone/block", "fuse/cross", ""].map(|scope| counted(&profile, scope, "ops/attention"))
-    });
+    };
+    let all = plan(shape);
+    let before = counts(&all);
     let tokens = 24.0 * 325.0;
     let blocks = (architecture.alt_start..architecture.depth).filter(|block| block % 2 == 1).count();
-    let each = 4.0 * architecture.width as f64 * tokens * (tokens - 24.0 * 82.0);
-    assert_eq!(before[0] - after[0], blocks as f64 * each);
-    assert_eq!(after[1], before[1]);
-    assert_eq!(before[2] - after[2], before[0] - after[0]);
-    assert_eq!((all.plan.flops() - pooled.plan.flops()) as f64, before[2] - after[2]);
-    assert!(pooled.bytes() <= all.bytes());
+    let (own, pooled) = (325.0, 24.0 * 82.0);
+    for (rule, keys) in
+        [("2", pooled), ("2+own", pooled + own), ("2+first", pooled + own - 82.0), ("local", own), ("auto", tokens)]
+    {
+        let fewer = plan(shape.pooled(rule.parse().expect("a rule")));
+        let after = counts(&fewer);
+        let each = 4.0 * architecture.width as f64 * tokens * (tokens - keys);
+        assert_eq!(before[0] - after[0], blocks as f64 * each, "{rule}");
+        assert_eq!(after[1], before[1]);
+        assert_eq!(before[2] - after[2], before[0] - after[0]);
+        assert_eq!((all.plan.flops() - fewer.plan.flops()) as f64, before[2] - after[2]);
+        assert!(fewer.bytes() <= all.bytes(), "{rule}");
+    }
 }
 
 #[test]

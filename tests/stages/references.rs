@@ -5,6 +5,7 @@ use zipsplat_tests::reference::backbone::camera_encoder::{Prior, encode, quat_fr
 use zipsplat_tests::reference::backbone::{positions, rope};
 use zipsplat_tests::reference::cluster::kmeans::{cluster_count, initial_indices, kmeans};
 use zipsplat_tests::reference::ops::activation::{gelu, sigmoid, silu, softplus};
+use zipsplat_tests::reference::ops::split_heads::Keys;
 use zipsplat_tests::reference::render::project::{Camera, Gaussians, Splat, project};
 use zipsplat_tests::{
     reference::backbone::patchify::Images, reference::forward, reference::forward::Tokens,
@@ -277,7 +278,7 @@ fn forward_passes(config: &str, cases: &[&str]) {
 fn forward_pass(model: &Model, golden: &Golden) {
     let images = Images::from_u8(&golden.u8("in/images_u8"), golden.shape("in/images_u8"));
     let known = golden.has("in/pose").then(|| priors(&golden.f64("in/camera"), &golden.f64("in/pose")));
-    let tokens = forward::tokens(model, &images, known.as_deref(), 1);
+    let tokens = forward::tokens(model, &images, known.as_deref(), &Keys::all());
     let mut compared = compare_taps(golden, "", &tokens.taps);
     for (ratio, prefix) in golden.compressions() {
         compare_clusters(model, golden, &tokens, ratio, &prefix);

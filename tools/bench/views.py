@@ -40,7 +40,7 @@ def arguments():
     parser.add_argument("captures", type=Path, nargs="+")
     parser.add_argument("--views", default="4,8,16,32", help="numbers of input photos")
     parser.add_argument("--ratios", default="1,0.5,auto")
-    parser.add_argument("--pools", default="1", help="sides of the patch groups pooled for global attention")
+    parser.add_argument("--pools", default="1", help="values of --kv-pool")
     parser.add_argument("--targets", type=int, default=8)
     parser.add_argument("--size", default="126x126")
     parser.add_argument("--out", type=Path, default=Path("views"), help="folder for the runs and the plots")
@@ -63,8 +63,8 @@ def draw(scene, pictures):
 
 def run(args, capture, views, ratio, pool):
     """Returns the values of COLUMNS. Differences of two commands leave out their other work."""
-    settings = digest(args.size, args.targets, args.options, args.cpu)
-    folder = args.out / f"{capture.name}.{views}.{ratio}.{pool}.{settings}"
+    settings = digest(args.size, args.targets, args.options, args.cpu, pool)
+    folder = args.out / f"{capture.name}.{views}.{ratio}.{settings}"
     path, scene = folder / "run.json", folder / "scene.ply"
     if path.exists():
         return json.loads(path.read_text())

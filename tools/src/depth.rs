@@ -18,7 +18,7 @@ use zipsplat::{
     features::PixelValues,
     gpu::Device,
     ops::Precision,
-    reconstruct::Ratio,
+    reconstruct::{KvPool, Ratio},
     types::{
         Camera, Fitting, Image, Masks, Pose, Scene, bounded_views,
         poses::{CaptureView, read_cloud},
@@ -70,7 +70,7 @@ impl Quality {
     }
 
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
-        refuse("--kv-pool", self.kv_pool != 1, DEPTH_WEIGHTS, "weights of ZipSplat")?;
+        refuse("--kv-pool", self.kv_pool != KvPool::ALL, DEPTH_WEIGHTS, "weights of ZipSplat")?;
         let all = checkpoint.architecture().backbone.patch_size.pow(2) as u32;
         match self.kept() {
             Some(keep) if keep > all => {

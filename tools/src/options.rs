@@ -9,8 +9,8 @@ use std::{fmt, fs, io::Read, path::Path, str::FromStr};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
-    ops::{Arithmetic, Pool, Precision},
-    reconstruct::{Ratio, ReconstructOptions, Shape, TokenSelection},
+    ops::{Arithmetic, Precision},
+    reconstruct::{KvPool, Ratio, ReconstructOptions, Shape, TokenSelection},
     stages::cluster::auto_ratio,
     tune::KernelChoice,
     types::{Camera, Image, Scene, open_file},
@@ -137,10 +137,12 @@ pub struct Quality {
     /// random[:SEED], or a text file of indices, whose number replaces --ratio
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub token_selection: TokenSelection,
-    /// Average keys and values of the backbone's cross-view attention over SxS patches, S from 1 to
-    /// 4: faster, less exact
-    #[arg(long, value_name = "S", default_value = "1")]
-    pub kv_pool: usize,
+    /// Keys and values of the backbone's attention across views: S from 1 to 4 for means of SxS
+    /// patches, local for the own view only, auto for a rule by the number of views; local/2 for
+    /// the first block and the others; with +own and +first, the own and the first view are whole.
+    /// Fewer are faster and less exact
+    #[arg(long, value_name = "RULE", default_value = "1")]
+    pub kv_pool: KvPool,
     /// Keep only the N most visible Gaussians per token
     #[arg(long, alias = "max-gaussians-per-patch", value_name = "N|all", default_value = "all")]
     max_gaussians_per_token: Keep,
@@ -197,7 +199,6 @@ pub struct ArithmeticOption {
 
 impl Quality {
     pub fn check(&self, architecture: &Architecture) -> Result<()> {
-        Pool::check(self.kv_pool)?;
         let all = architecture.gaussians_per_token;
         self.max_gaussians_per_token.of(all).map(drop)
     }
@@ -234,7 +235,7 @@ impl Quality {
 
     pub fn shape(&self, architecture: &Architecture, views: usize, size: Size, cameras: bool) -> Result<Shape> {
         let chosen = (self.ratio, &self.token_selection);
-        Shape::new(architecture, views, [size.0, size.1], chosen, cameras)?.pooled(self.kv_pool)
+        Ok(Shape::new(architecture, views, [size.0, size.1], chosen, cameras)?.pooled(self.kv_pool))
     }
 
     /// Without `cameras` the network estimates them.

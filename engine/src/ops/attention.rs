@@ -1,6 +1,6 @@
 use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
-    rows::row_subgroups,
+    rows::{SLICE, row_subgroups},
     tile::choose,
     uniform::{attention_tile, terms_of},
 };
@@ -35,8 +35,6 @@ pub struct Part {
     pub keys: bool,
     /// Scale; 0 for none.
     pub scale: f32,
-    /// Output for the log patch counts of pooled keys.
-    pub log_counts: Option<Tensor>,
 }
 
 /// Rotary embedding, the same for every view.
@@ -54,10 +52,25 @@ pub struct Rotary {
 pub struct Attention {
     pub heads: Heads,
     pub sequences: usize,
+    /// Per sequence.
     pub queries: usize,
+    /// Of all sequences.
+    pub common_keys: usize,
+    /// Of each sequence besides.
     pub keys: usize,
-    pub pool: Option<Pool>,
     pub kernel: AttentionKernel,
+}
+
+/// Rows that [`Attention::split`] writes.
+#[derive(Clone, Copy)]
+struct Written {
+    rows: usize,
+    first_row: usize,
+    sequences: usize,
+    /// Rows per sequence.
+    sequence: usize,
+    pool: Option<Pool>,
+    log_counts: Option<Tensor>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,26 +90,39 @@ impl AttentionKernel {
 }
 
 impl Attention {
-    /// Allocates queries, keys, values and `[sequences * keys]` f32 for [`Part::log_counts`].
-    /// Unpooled, the last aliases the keys.
+    /// Allocates queries, keys, values and `[sequences, common_keys]` f32 that scores of common keys are
+    /// increased by. Without these, the last aliases the keys.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
-        let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
-        let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);
-        let (queries, keys, values) = match self.kernel {
-            AttentionKernel::Lanes(_) => {
-                (queries, sequences * self.keys.next_multiple_of(self.panel(rec.limits())) * width, keys)
-            }
+        let (limits, channels) = (rec.limits(), self.channels());
+        let own = |keys: usize| (self.own_first(limits) + self.heads.count * self.sequences * keys) * channels;
+        let queries = self.heads.count * self.sequences * self.queries;
+        let (queries, keys) = match self.kernel {
+            AttentionKernel::Lanes(_) => (queries, self.padded(limits, self.keys)),
             // The last workgroup overruns the queries.
             AttentionKernel::Matrix(units) => {
-                let tiles = Tile::attention(rec.limits(), units, 8);
-                let most_rows = tiles.iter().map(|tile| tile.sides(units)[0]).max().unwrap_or(0);
-                (queries + most_rows * self.channels(), keys, keys)
+                let tiles = Tile::attention(limits, units, 8);
+                (queries + tiles.iter().map(|tile| tile.sides(units)[0]).max().unwrap_or(0), self.keys)
             }
         };
         let element = self.kernel.element();
-        let lens = [("queries", queries), ("keys", keys), ("values", values)];
+        let lens = [("queries", queries * channels), ("keys", own(keys)), ("values", own(self.keys))];
         let [q, k, v] = lens.map(|(name, len)| rec.tensor_of(element, name, len));
-        [q, k, v, self.pool.map_or(k, |_| rec.tensor::<f32>("log_counts", sequences * self.keys))]
+        let log_counts = self.sequences * self.common_keys;
+        [q, k, v, if log_counts > 0 { rec.tensor::<f32>("log_counts", log_counts) } else { k }]
+    }
+
+    /// Keys with padding.
+    fn padded(&self, limits: &Limits, keys: usize) -> usize {
+        match self.kernel {
+            AttentionKernel::Lanes(_) if self.is_uniform(limits) => keys.next_multiple_of(self.panel(limits)),
+            AttentionKernel::Lanes(_) => keys.next_multiple_of(4),
+            AttentionKernel::Matrix(_) => keys,
+        }
+    }
+
+    /// Row of the sequences' own keys behind the common ones, where a slice may start.
+    fn own_first(&self, limits: &Limits) -> usize {
+        (self.heads.count * self.padded(limits, self.common_keys)).next_multiple_of(SLICE)
     }
 
     fn channels(&self) -> usize {
@@ -108,13 +134,61 @@ impl Attention {
         }
     }
 
-    /// Copies a part from projection columns into `out`, starting at row `first_row` of all. Pooled
-    /// keys need whole views.
+    /// Copies a part from projection columns into `out`, starting at row `first_row` of all
+    /// sequences.
     pub fn split(&self, rec: &mut Recorder, projection: impl Into<Columns>, first_row: usize, part: Part, out: Tensor) {
+        let columns = projection.into();
         let of_keys = part.keys || part.scale == 0.0;
-        let (sequence, pool) = if of_keys { (self.keys, self.pool) } else { (self.queries, None) };
-        let Columns { of: Rows { tensor: projection, count: rows, width: stride, .. }, first: column, .. } =
-            projection.into();
+        let out = if of_keys && self.common_keys > 0 {
+            let at = self.own_first(rec.limits()) * self.channels();
+            let bytes = self.kernel.element().bytes();
+            out.slice::<u8>(at * bytes, out.bytes() as usize - at * bytes)
+        } else {
+            out
+        };
+        let sequence = if of_keys { self.keys } else { self.queries };
+        let written = Written {
+            rows: columns.of.count,
+            first_row,
+            sequences: self.sequences,
+            sequence,
+            pool: None,
+            log_counts: None,
+        };
+        self.write_rows(rec, columns, written, part, out);
+    }
+
+    /// Copies common keys or values of whole views from `view` on.
+    pub fn split_common(
+        &self,
+        rec: &mut Recorder,
+        projection: Columns,
+        (pool, view): (Pool, usize),
+        part: Part,
+        [out, log_counts]: [Tensor; 2],
+    ) {
+        let (unit, count) = (pool.tokens(), projection.of.count);
+        // The first view may be unpooled.
+        let first = if view == 0 && pool.first { unit } else { 0 };
+        for (side, rows) in [(1, 0..first), (pool.side, first..count)].into_iter().filter(|(_, rows)| !rows.is_empty()) {
+            let view = view + rows.start / unit;
+            let first_row = pool.keys_of(view * unit);
+            let written = Written {
+                rows: pool.keys_of(view * unit + rows.len()) - first_row,
+                first_row,
+                sequences: 1,
+                sequence: self.common_keys,
+                pool: Some(Pool { side, ..pool }),
+                log_counts: part.keys.then_some(log_counts),
+            };
+            let Columns { of, first, width } = projection;
+            self.write_rows(rec, Columns { of, first: first + rows.start * of.width, width }, written, part, out);
+        }
+    }
+
+    fn write_rows(&self, rec: &mut Recorder, projection: Columns, written: Written, part: Part, out: Tensor) {
+        let Written { rows, first_row, sequences, sequence, pool, log_counts } = written;
+        let Columns { of: Rows { tensor: projection, width: stride, .. }, first: column, .. } = projection;
         let (norm_weight, norm_bias, eps) =
             part.norm.map_or((projection, projection, 0.0), |n| (n.weight, n.bias, n.eps));
         let Rotary { table, tokens, turned } = part.rotary.unwrap_or(Rotary {
@@ -122,9 +196,9 @@ impl Attention {
             tokens: pool.map_or(1, |pool| pool.tokens()),
             turned: 0,
         });
-        let (rows, first_row) = (Pool::keys_of(pool, rows), Pool::keys_of(pool, first_row));
-        let log_counts = part.log_counts.filter(|_| pool.is_some());
-        let subgroups = row_subgroups(rec.limits());
+        let limits = rec.limits();
+        let panel = if self.is_uniform(limits) { self.panel(limits) } else { sequence.next_multiple_of(4) };
+        let subgroups = row_subgroups(limits);
         let kernel = ops::SplitHeads {
             projection,
             weight: norm_weight,
@@ -139,19 +213,22 @@ impl Attention {
             stride: stride as u32,
             column: column as u32,
             first_row: first_row as u32,
-            out_rows: (self.sequences * sequence) as u32,
+            out_rows: (sequences * sequence) as u32,
             sequence: sequence as u32,
-            panel: self.panel(rec.limits()) as u32,
+            panel: panel as u32,
             tokens: tokens as u32,
             turned: turned as u32,
             columns: pool.map_or(1, |pool| pool.grid[1]) as u32,
             leading: pool.map_or(0, |pool| pool.leading) as u32,
+            views: self.sequences as u32,
             scale: if part.scale == 0.0 { 1.0 } else { part.scale },
             eps,
             norm: part.norm.is_some(),
             rotate: part.rotary.is_some(),
             pool: pool.map_or(1, |pool| pool.side) as u32,
             count: log_counts.is_some(),
+            own: pool.is_some_and(|pool| pool.own),
+            first: pool.is_some_and(|pool| pool.first),
             transpose: part.keys && matches!(self.kernel, AttentionKernel::Lanes(_)),
             subgroups,
             element: self.kernel.element(),
@@ -176,11 +253,7 @@ impl Attention {
     }
 
     fn panel(&self, limits: &Limits) -> usize {
-        if self.is_uniform(limits) {
-            (attention_tile(limits)[1] * limits.subgroup_size) as usize
-        } else {
-            self.keys.next_multiple_of(4)
-        }
+        (attention_tile(limits)[1] * limits.subgroup_size) as usize
     }
 
     fn is_uniform(&self, limits: &Limits) -> bool {
@@ -203,12 +276,14 @@ impl Attention {
             keys: self.keys as u32,
             sequences: self.sequences as u32,
             heads: self.heads.count as u32,
+            common_keys: self.common_keys as u32,
+            own_first: self.own_first(rec.limits()) as u32,
             dim,
             vectors: dim / rec.limits().subgroup_size,
             terms: terms_of(self.heads.dim).min(16),
             tile_rows,
             key_vectors,
-            pooled: self.pool.is_some(),
+            pooled: self.common_keys > 0,
         };
         self.dispatch(rec, kernel, tile_rows as usize);
     }
@@ -226,10 +301,12 @@ impl Attention {
             keys: self.keys as u32,
             sequences: self.sequences as u32,
             heads: count as u32,
+            common_keys: self.common_keys as u32,
+            own_first: self.own_first(rec.limits()) as u32,
             dim: dim as u32,
             vectors: (dim as u32).div_ceil(channels_at_once),
             parts: 1 << (channels_at_once / dim as u32).max(1).ilog2(),
-            pooled: self.pool.is_some(),
+            pooled: self.common_keys > 0,
             element,
         };
         self.dispatch(rec, kernel, ATTENTION_ROWS as usize);
@@ -250,6 +327,8 @@ impl Attention {
                     keys: self.keys as u32,
                     sequences: self.sequences as u32,
                     heads: self.heads.count as u32,
+                    common_keys: self.common_keys as u32,
+                    own_first: self.own_first(rec.limits()) as u32,
                     dim: self.heads.dim as u32,
                     subgroups: tile.subgroups[0],
                     matrix_m: shape.m,
@@ -258,7 +337,7 @@ impl Attention {
                     repeat_m: tile.repeats[0],
                     tile: tile.k,
                     channels: self.channels() as u32,
-                    pooled: self.pool.is_some(),
+                    pooled: self.common_keys > 0,
                     cpu: rec.limits().cpu,
                     factor,
                 };
@@ -288,7 +367,7 @@ impl Attention {
     }
 
     fn flops(&self) -> u64 {
-        (4 * self.sequences * self.queries * self.keys * self.heads.width()) as u64
+        (4 * self.sequences * self.queries * (self.common_keys + self.keys) * self.heads.width()) as u64
     }
 }
 
@@ -318,7 +397,7 @@ mod tests {
         let units = Units::of(Element::F16, &limits).expect("an ordinary device has matrix units");
         let choose = |units, queries, count, dim| {
             let kernel = AttentionKernel::Matrix(units);
-            Attention { heads: Heads { count, dim }, sequences: 1, queries, keys: 1, pool: None, kernel }
+            Attention { heads: Heads { count, dim }, sequences: 1, queries, common_keys: 0, keys: 1, kernel }
                 .tile(&limits, units)
         };
         let tiles = Tile::attention(&limits, units, Tile::TUNED_CHANNELS);

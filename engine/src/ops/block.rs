@@ -64,8 +64,14 @@ impl Block {
     pub fn record(&self, rec: &mut Recorder, x: Rows, sequences: Sequences) {
         let Sequences { count, tokens, rotary, pool } = sequences;
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), x.width);
-        let keys = Pool::keys_of(pool, tokens);
-        let attention = Attention { heads, sequences: count, queries: tokens, keys, pool, kernel };
+        let attention = match pool {
+            None => Attention { heads, sequences: count, queries: tokens, common_keys: 0, keys: tokens, kernel },
+            Some(pool) => {
+                let common_keys = pool.keys_of(x.count);
+                let (sequences, keys) = if pool.own { (x.count / pool.tokens(), pool.tokens()) } else { (1, 0) };
+                Attention { heads, sequences, queries: x.count / sequences, common_keys, keys, kernel }
+            }
+        };
         let tensors @ [q, k, v, log_counts] = attention.tensors(rec);
         for part in Pool::chunks(pool, rec, x.count, &[x.row_bytes(), output.bytes() * 3 * width]) {
             let normed = self.norm1.apply(rec, x.part(part.clone()), self.qkv.element());
@@ -73,11 +79,17 @@ impl Block {
             let [q_norm, k_norm] = self.qk_norm.map_or([None; 2], |n| n.map(Some));
             let parts = [
                 (Part { norm: q_norm, rotary, scale: attention.scale(), ..Part::default() }, q),
-                (Part { norm: k_norm, rotary, keys: true, log_counts: Some(log_counts), ..Part::default() }, k),
+                (Part { norm: k_norm, rotary, keys: true, ..Part::default() }, k),
                 (Part::default(), v),
             ];
             for (i, (what, out)) in parts.into_iter().enumerate() {
-                attention.split(rec, qkv.columns(i * width, width), part.start, what, out);
+                let columns = qkv.columns(i * width, width);
+                if i == 0 || attention.keys > 0 {
+                    attention.split(rec, columns, part.start, what, out);
+                }
+                if let Some(pool) = pool.filter(|_| i > 0) {
+                    attention.split_common(rec, columns, (pool, part.start / pool.tokens()), what, [out, log_counts]);
+                }
             }
         }
         let attended = attention.record(rec, tensors);

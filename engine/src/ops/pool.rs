@@ -1,12 +1,12 @@
 use super::row_chunks;
-use crate::{Error, Result, gpu::Recorder};
+use crate::gpu::Recorder;
 use std::ops::Range;
 
 /// Key pooling over groups of neighboring patches.
 ///
 /// A group of n patches adds log n to its score (proportional attention). Sources: Token Merging,
-/// Bolya et al. 2023; FastVGGT, Shen et al. 2025.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Bolya et al. 2023; FastVGGT, Shen et al. 2025. Keys of the own view: AVGGT, 2025.
+#[derive(Clone, Copy, Debug)]
 pub struct Pool {
     /// Group side in patches.
     pub side: usize,
@@ -14,36 +14,33 @@ pub struct Pool {
     pub grid: [usize; 2],
     /// Unpooled leading tokens.
     pub leading: usize,
+    /// Whether a view's queries see its own tokens in place of its groups.
+    pub own: bool,
+    /// Whether the first view is unpooled.
+    pub first: bool,
 }
 
 impl Pool {
     pub const MAX_SIDE: usize = 4;
 
-    pub(crate) fn of(side: usize, grid: [usize; 2], leading: usize) -> Option<Self> {
-        (side > 1).then_some(Self { side, grid, leading })
-    }
-
-    /// [`Error::Argument`] outside 1..=[`Pool::MAX_SIDE`].
-    pub fn check(side: usize) -> Result<()> {
-        if (1..=Self::MAX_SIDE).contains(&side) {
-            Ok(())
-        } else {
-            Err(Error::argument("pool", side, format!("1 to {}, the side of a group", Self::MAX_SIDE)))
-        }
-    }
-
+    /// Per view.
     pub fn tokens(&self) -> usize {
         self.leading + self.grid.iter().product::<usize>()
     }
 
+    /// Per pooled view.
     pub fn keys(&self) -> usize {
         self.leading + self.grid.iter().map(|side| side.div_ceil(self.side)).product::<usize>()
     }
 
-    pub(super) fn keys_of(pool: Option<Self>, tokens: usize) -> usize {
-        pool.map_or(tokens, |pool| tokens / pool.tokens() * pool.keys())
+    /// Of `tokens` of leading views.
+    pub fn keys_of(&self, tokens: usize) -> usize {
+        let views = tokens / self.tokens();
+        let unpooled = usize::from(self.first).min(views);
+        unpooled * self.tokens() + (views - unpooled) * self.keys()
     }
 
+    /// Whole views.
     pub(super) fn chunks(
         pool: Option<Self>,
         rec: &Recorder,

@@ -216,7 +216,7 @@ impl Model {
         let own = self.network.weight_bytes() + self.arena.bytes();
         limits.memory_bytes -= self.device.allocated_bytes().saturating_sub(own).min(limits.memory_bytes);
         self.network.block_layout(&limits, views, options.blocks, |views| {
-            Shape::new(self.architecture(), views, size, chosen, options.cameras.is_some())?.pooled(options.kv_pool)
+            Shape::new(self.architecture(), views, size, chosen, options.cameras.is_some()).map(|shape| shape.pooled(options.kv_pool))
         })
     }
 

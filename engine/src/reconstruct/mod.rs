@@ -2,6 +2,7 @@
 
 mod blocks;
 mod features;
+mod kv_pool;
 mod network;
 mod options;
 mod patches;
@@ -10,6 +11,7 @@ mod token_selection;
 
 pub use blocks::{Block, BlockLayout, BlockOptions, Seam};
 pub use features::{BackboneFeatures, SceneTokens};
+pub use kv_pool::KvPool;
 pub use network::{Network, NetworkPlan, Tensors};
 pub use options::{MAX_PATCHES, MAX_PHOTOS, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape};
 pub(crate) use options::{check_cameras, grid, no_camera_encoder, size_of};
@@ -275,7 +277,7 @@ impl Model {
             check_cameras(cameras, images)?;
         }
         let chosen = (options.ratio, &options.token_selection);
-        Shape::new(self.architecture(), images.len(), size, chosen, options.cameras.is_some())?.pooled(options.kv_pool)
+        Shape::new(self.architecture(), images.len(), size, chosen, options.cameras.is_some()).map(|shape| shape.pooled(options.kv_pool))
     }
 
     /// Records a plan, optionally observed.

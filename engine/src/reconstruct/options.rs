@@ -1,7 +1,6 @@
-use super::{BlockOptions, TokenSampling, TokenSelection};
+use super::{BlockOptions, KvPool, TokenSampling, TokenSelection};
 use crate::{
     Error, Result,
-    ops::Pool,
     stages::{Architecture, ViewGrid, cluster::auto_ratio},
     types::{Camera, Image, SkippedPass, poses::Capture},
 };
@@ -55,8 +54,8 @@ pub struct ReconstructOptions {
     /// Width and height of the network's input, multiples of the patch size, by default the trained
     /// size. Photos are cropped to its shape.
     pub input_size: Option<[u32; 2]>,
-    /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
-    pub kv_pool: usize,
+    /// Keys of attention across views.
+    pub kv_pool: KvPool,
     /// Blocks of views, if one pass does not hold all.
     pub blocks: BlockOptions,
 }
@@ -71,7 +70,7 @@ impl Default for ReconstructOptions {
             capture: None,
             world: None,
             input_size: None,
-            kv_pool: 1,
+            kv_pool: KvPool::ALL,
             blocks: BlockOptions::default(),
         }
     }
@@ -103,8 +102,8 @@ pub struct Shape {
     pub kept: TokenSampling,
     /// Whether cameras are known.
     pub cameras: bool,
-    /// See [`ReconstructOptions::kv_pool`].
-    pub kv_pool: usize,
+    /// Never `Auto`.
+    pub kv_pool: KvPool,
 }
 
 impl Shape {
@@ -121,16 +120,12 @@ impl Shape {
             return Err(Error::argument("cameras", "some", no_camera_encoder(&architecture.name)));
         }
         let (tokens, kept) = TokenSampling::of(grid, chosen)?;
-        Ok(Self { grid, tokens, kept, cameras, kv_pool: 1 })
+        Ok(Self { grid, tokens, kept, cameras, kv_pool: KvPool::ALL })
     }
 
     /// Sets [`ReconstructOptions::kv_pool`].
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an invalid side.
-    pub fn pooled(self, pool: usize) -> Result<Self> {
-        Pool::check(pool)?;
-        Ok(Self { kv_pool: pool, ..self })
+    pub fn pooled(self, pool: KvPool) -> Self {
+        Self { kv_pool: pool.for_views(self.grid.views), ..self }
     }
 
     /// Skipped stages, with reasons.
@@ -146,8 +141,8 @@ impl Shape {
         if !self.cameras {
             skipped_passes.push(SkippedPass::new("camera encoder", "no cameras are given"));
         }
-        if self.kv_pool > 1 {
-            let why = format!("attention across views sees the means of {0} x {0} patches", self.kv_pool);
+        if !self.kv_pool.is_all() {
+            let why = format!("attention across views sees fewer: --kv-pool {}", self.kv_pool);
             skipped_passes.push(SkippedPass::new("keys of single patches", why));
         }
         skipped_passes

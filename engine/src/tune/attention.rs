@@ -70,7 +70,7 @@ fn attention(
     keys: usize,
 ) -> Result<(Run, Tensor)> {
     let heads = Heads::new(COLUMNS / Tile::TUNED_CHANNELS, COLUMNS);
-    let attention = Attention { heads, sequences: 1, queries, keys, pool: None, kernel };
+    let attention = Attention { heads, sequences: 1, queries, common_keys: 0, keys, kernel };
     let tokens = [queries, keys, keys];
     let values = [0, 1, 2].map(|i| encoded_noise(i as u64 + 1, tokens[i], COLUMNS, factor, kernel.element()));
     let mut rec = Recorder::new(device.limits());

@@ -14,9 +14,9 @@ pub struct Options<'a> {
     pub eps: f64,
     /// Sequences that attend within themselves.
     pub sequences: usize,
-    /// Rotary positions (y, x) of a sequence's tokens.
+    /// Rotary positions (y, x) of a view's tokens.
     pub positions: Option<&'a [[f64; 2]]>,
-    /// Pooling of keys and values, for one sequence.
+    /// Pooling of keys and values of one sequence.
     pub pool: Option<Pool>,
 }
 
@@ -40,8 +40,12 @@ fn self_attention(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
     let k = part(1, head_norm(weights, "k_norm"), options.positions);
     let v = part(2, None, None);
     if let Some(pool) = options.pool {
-        let ((k, counts), (v, _)) = (pool.means(&k, width), pool.means(&v, width));
-        return weights.linear("proj", &attention_to_means(&q, [&k, &v], &counts, options.heads, head_dim));
+        let queries = if pool.own { pool.tokens() * width } else { q.len() };
+        let attend = |(view, q): (usize, &[f64])| {
+            let ((k, counts), (v, _)) = (pool.seen(&k, width, view), pool.seen(&v, width, view));
+            attention_to_means(q, [&k, &v], &counts, options.heads, head_dim)
+        };
+        return weights.linear("proj", &q.chunks(queries).enumerate().flat_map(attend).collect::<Vec<_>>());
     }
     let length = x.len() / options.sequences;
     let sequences = q.chunks(length).zip(k.chunks(length)).zip(v.chunks(length));

@@ -94,7 +94,7 @@ impl Values for Problem {
         let mut trial = Trial::new(device);
         let heads = Heads { count: HEADS, dim };
         let kernel = AttentionKernel::Lanes(Element::F32);
-        let shape = Attention { heads, sequences: 1, queries: tokens, keys: tokens, pool: None, kernel };
+        let shape = Attention { heads, sequences: 1, queries: tokens, common_keys: 0, keys: tokens, kernel };
         let (weight, bias) = (trial.input(&inputs.weight), trial.input(&inputs.bias));
         let norm = Norm { weight, bias, width: dim, eps: EPS };
         let table = &rotary_tables(rows, columns, dim)[usize::from(self.global)];

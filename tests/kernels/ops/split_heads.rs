@@ -85,6 +85,9 @@ impl Call {
             turned: (table.len() / dim) as u32,
             columns: grid_columns as u32,
             leading: 1,
+            views: 1,
+            own: false,
+            first: false,
             pool: self.side as u32,
             count: self.side > 1,
             scale: SCALE,
@@ -130,11 +133,11 @@ impl Call {
 
     fn pool(&self) -> Option<Pool> {
         let (rows, columns) = self.grid.filter(|_| self.side > 1)?;
-        Some(Pool { side: self.side, grid: [rows, columns], leading: 1 })
+        Some(Pool { side: self.side, grid: [rows, columns], leading: 1, own: false, first: false })
     }
 
     fn sources(&self) -> usize {
-        let Some(Pool { side, grid, leading }) = self.pool() else { return self.rows };
+        let Some(Pool { side, grid, leading, .. }) = self.pool() else { return self.rows };
         let groups = leading + grid.iter().map(|patches| patches.div_ceil(side)).product::<usize>();
         self.rows / groups * (leading + grid.iter().product::<usize>())
     }

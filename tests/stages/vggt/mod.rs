@@ -13,6 +13,7 @@ use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::backbone::{patchify::Images, positions};
 use zipsplat_tests::reference::forward::Taps;
 use zipsplat_tests::reference::model::Scope;
+use zipsplat_tests::reference::ops::split_heads::Keys;
 use zipsplat_tests::reference::vggt::{self, Sizes};
 
 fn goldens() -> impl Iterator<Item = Golden> {
@@ -49,7 +50,7 @@ fn check_reference(golden: &Golden) {
     let values = golden.u8("in/images_u8").iter().map(|&byte| f64::from(byte) / 255.0).collect();
     let images = Images { values, ..Images::from_u8(&[], golden.shape("in/images_u8")) };
     let (sizes, mut taps) = (sizes(&a), Taps::new());
-    let pairs = vggt::pairs(&Scope::of(&weights, "aggregator"), &sizes, &images, 1, &mut taps);
+    let pairs = vggt::pairs(&Scope::of(&weights, "aggregator"), &sizes, &images, &Keys::all(), &mut taps);
     let camera = a.camera_head.as_ref().unwrap();
     let last = pairs.last().unwrap();
     let scope = Scope::of(&weights, "camera_head");

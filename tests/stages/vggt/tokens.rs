@@ -22,12 +22,13 @@ fn the_decoder_on_vggt_is_the_reference() {
     let images = pictures(3, [70, 42]);
     let checkpoint = Checkpoint::seeded_architecture(architecture(), "micro").unwrap();
     let (reference, chosen) = (network::model(&checkpoint).unwrap(), vec![44, 0, 12, 30, 7]);
-    for side in [1, 2] {
-        let tokens = forward::tokens(&reference, &network::images(&images), None, side);
+    for rule in ["1", "2", "local/2+own+first"] {
+        let pool: KvPool = rule.parse().unwrap();
+        let tokens = forward::tokens(&reference, &network::images(&images), None, &network::keys(pool));
         let truth = forward::gaussians(&reference, &tokens, &chosen);
         for arithmetic in [Arithmetic::EXACT].into_iter().chain(fast_arithmetics()) {
             let (model, selection) = (model(arithmetic), TokenSelection::Given(chosen.clone()));
-            let request = ReconstructOptions { kv_pool: side, ..networks::options(0.1, selection) };
+            let request = ReconstructOptions { kv_pool: pool, ..networks::options(0.1, selection) };
             let run = networks::observe(&model, &images, &request);
             let within = |key: &str| match arithmetic.element {
                 Element::F32 => Tolerance::of_tap(key),

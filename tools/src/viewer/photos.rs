@@ -145,8 +145,7 @@ impl FromPhotos {
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let count = crop.count(&photos, &frames)?;
         let chosen = (self.quality.ratio, &self.quality.token_selection);
-        Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?
-            .pooled(self.quality.kv_pool)?;
+        Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?;
         let masks = self.finding.masks();
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;

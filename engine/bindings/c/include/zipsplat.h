@@ -776,9 +776,9 @@ typedef struct zs_reconstruct_options {
     double scene_scale;
     // Token selection.
     zs_token_selection token_selection;
-    // Pooling for many photos: cross-view attention reads means of `kv_pool` x `kv_pool` patches,
-    // 1 to 4; 0 is 1. Larger values are faster and less exact.
-    uint32_t kv_pool;
+    // 1 keeps the backbone's features on the device, for zs_reconstruct_again and
+    // zs_reconstruction_get_patch_tokens.
+    uint32_t keep_features;
     // Width and height of the network's input, multiples of the patch size; 0 and 0 are the
     // model's own. Photos are center-cropped and resized.
     uint32_t input_size[2];
@@ -794,16 +794,17 @@ typedef struct zs_reconstruct_options {
     void *user_data;
     // Capture whose points and cameras give ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     const struct zs_capture *capture;
-    // 1 keeps the backbone's features on the device, for zs_reconstruct_again and
-    // zs_reconstruction_get_patch_tokens.
-    uint32_t keep_features;
+    // Keys and values of attention across views: "1" to "4" for means of so many patches squared,
+    // "local" for the own view only, "auto" for a rule by the number of views; "local/2" for the
+    // first block and the others; with "+own" and "+first", the own and the first view are whole.
+    // Fewer are faster and less exact. NULL is "1".
+    const char *kv_pool;
     // Most photos of a pass, 1 to ZS_MAX_VIEWS; 0 is as many as device memory holds. More are split
     // into overlapping blocks, by camera position or order, and joined in one world. Several blocks
     // keep neither features nor tokens.
     uint32_t block_size;
     // Photos that neighboring blocks share; 0 is a quarter of the block.
     uint32_t block_overlap;
-    uint32_t reserved;
 } zs_reconstruct_options;
 
 // Reconstructs a scene from 1 to 65,536 photos of one place.

@@ -5,14 +5,14 @@ use super::{
     capture::zs_capture,
     image::zs_image,
     model::zs_model,
-    pointers::{borrow, flag, meaning, produce, read_array, read_versioned},
+    pointers::{borrow, flag, meaning, optional_text, produce, read_array, read_versioned},
     progress::{Reporter, zs_progress_callback},
     reconstruction::{ModelTokens, zs_reconstruction},
     scene::zs_world_value,
     status::{Failure, zs_status},
 };
 use std::{
-    ffi::c_void,
+    ffi::{c_char, c_void},
     ops::{ControlFlow, Range},
     sync::Arc,
 };
@@ -49,7 +49,7 @@ pub struct zs_reconstruct_options {
     pub ratio: f64,
     pub scene_scale: f64,
     pub token_selection: zs_token_selection_value,
-    pub kv_pool: u32,
+    pub keep_features: u32,
     pub input_size: [u32; 2],
     pub seed: u64,
     pub camera_count: usize,
@@ -57,13 +57,12 @@ pub struct zs_reconstruct_options {
     pub progress: zs_progress_callback,
     pub user_data: *mut c_void,
     pub capture: *const zs_capture,
-    pub keep_features: u32,
+    pub kv_pool: *const c_char,
     pub block_size: u32,
     pub block_overlap: u32,
-    pub reserved: u32,
 }
 
-versioned!(zs_reconstruct_options { reserved });
+versioned!(zs_reconstruct_options);
 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct(
@@ -84,7 +83,8 @@ pub unsafe extern "C" fn zs_reconstruct(
             let images = read_array(images, image_count, "images")?;
             (images, read_cameras(options.cameras, options.camera_count)?, options.capture.as_ref())
         };
-        let wanted = options.engine(cameras, capture)?;
+        // SAFETY: the caller's strings.
+        let wanted = unsafe { options.engine(cameras, capture) }?;
         // SAFETY: the caller's pixels.
         let view = |i: usize, [width, height]: [u32; 2]| {
             fit(&unsafe { images[i].image(&format!("image {i}")) }?, width, height)
@@ -132,7 +132,9 @@ pub unsafe extern "C" fn zs_reconstruct_again(
         }
         let reporter = Reporter { callback: options.progress, user_data: options.user_data };
         let progress = |now: Progress<'_>| reporter.fraction(now.scope, now.fraction);
-        let (made, tokens) = model.decode(features, &options.engine(Vec::new(), None)?, progress)?;
+        // SAFETY: the caller's strings.
+        let wanted = unsafe { options.engine(Vec::new(), None) }?;
+        let (made, tokens) = model.decode(features, &wanted, progress)?;
         let made = Reconstruction { placement: first.made.placement.clone(), ..made };
         Ok(zs_reconstruction::new(made, tokens, arena.clone(), first.warnings()).with(features.clone()))
     };
@@ -168,10 +170,15 @@ pub(super) fn check_view_count(count: usize, most: usize) -> Result<(), Failure>
 }
 
 impl zs_reconstruct_options {
-    fn engine(&self, cameras: Vec<Camera>, capture: Option<&zs_capture>) -> Result<ReconstructOptions, Failure> {
+    /// # Safety
+    /// As [`optional_text`], for `kv_pool`.
+    unsafe fn engine(&self, cameras: Vec<Camera>, capture: Option<&zs_capture>) -> Result<ReconstructOptions, Failure> {
         let random = TokenSelection::Random(self.seed);
         let selections = [TokenSelection::KMEANS, TokenSelection::Stride, random, TokenSelection::MutualNearest];
         let worlds = [None, Some(SceneFrame::FirstCamera), Some(SceneFrame::InputCameras)];
+        // SAFETY: the caller's promise.
+        let kv_pool = unsafe { optional_text(self.kv_pool, "kv_pool") }?.unwrap_or("1");
+        let wrong = |why: String| Failure::argument("kv_pool", kv_pool, why.trim_start_matches("expected "));
         Ok(ReconstructOptions {
             ratio: match self.ratio {
                 ZS_RATIO_AUTO => Ratio::Auto,
@@ -184,7 +191,7 @@ impl zs_reconstruct_options {
             capture: capture.map(|capture| capture.capture.clone()),
             world: meaning("world", self.world, "zs_world", worlds)?,
             input_size: (self.input_size != [0; 2]).then_some(self.input_size),
-            kv_pool: self.kv_pool.max(1) as usize,
+            kv_pool: kv_pool.parse().map_err(wrong)?,
             blocks: BlockOptions {
                 size: (self.block_size > 0).then_some(self.block_size as usize),
                 overlap: (self.block_overlap > 0).then_some(self.block_overlap as usize),

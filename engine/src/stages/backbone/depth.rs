@@ -3,6 +3,7 @@ use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
     ops::{ParameterLayout, Parameters, Rows, place_groups},
+    reconstruct::KvPool,
     stages::{BackboneArchitecture, DepthFeatures, Reference, ViewGrid},
     types::{Camera, relative_encoding},
 };
@@ -31,7 +32,7 @@ impl DepthBackbone {
         reference: Reference,
     ) -> DepthFeatures {
         let (mut layers, mut last) = (Vec::new(), None);
-        self.transformer.record(rec, images, inputs, (grid, reference, 1), |rec, layer, out| {
+        self.transformer.record(rec, images, inputs, (grid, reference, KvPool::ALL), |rec, layer, out| {
             layers.push(self.feature(rec, layer, out, grid));
             last = Some(out);
         });

@@ -3,6 +3,7 @@ use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
     ops::{ParameterLayout, Parameters, Rows},
+    reconstruct::KvPool,
     stages::{Architecture, Reference, ViewGrid},
     types::{Camera, prior_encoding},
 };
@@ -30,7 +31,7 @@ impl TokenBackbone {
         images: Tensor,
         inputs: &[Tensor],
         grid: ViewGrid,
-        pool: usize,
+        pool: KvPool,
     ) -> Vec<Rows> {
         let (layers, final_norm) = (self.features.layers(), self.transformer.final_norm);
         let mut prepared = Vec::new();

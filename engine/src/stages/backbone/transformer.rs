@@ -2,7 +2,8 @@ use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
     kernels::backbone::Tokens,
-    ops::{Block, Norm, Parameters, Pool, Rotary, Rows, Sequences},
+    ops::{Block, Norm, Parameters, Rotary, Rows, Sequences},
+    reconstruct::KvPool,
     stages::{BackboneArchitecture, POSE_ENCODING, Reference, ViewGrid},
 };
 
@@ -95,7 +96,7 @@ impl Transformer {
         rec: &mut Recorder,
         images: Tensor,
         inputs: &[Tensor],
-        (grid, reference, pool): (ViewGrid, Reference, usize),
+        (grid, reference, pool): (ViewGrid, Reference, KvPool),
         mut out: impl FnMut(&mut Recorder, usize, OutLayer),
     ) {
         let (a, leading) = (&self.architecture, self.special.leading());
@@ -105,6 +106,7 @@ impl Transformer {
         let mut chosen = None;
         // Copied before a global block overwrites it.
         let mut local = x;
+        let mut global_blocks = 0;
         for (i, block) in self.blocks.iter().enumerate() {
             if i + 1 == a.alt_start && reference == Reference::Balanced {
                 chosen = self.special.choose(rec, x, inputs, grid);
@@ -120,12 +122,14 @@ impl Transformer {
             } else if !global {
                 local = x;
             }
+            let separate = !global || pool.is_local(global_blocks);
             let sequences = Sequences {
-                count: if global { 1 } else { grid.views },
-                tokens: if global { grid.views * tokens } else { tokens },
+                count: if separate { grid.views } else { 1 },
+                tokens: if separate { tokens } else { grid.views * tokens },
                 rotary: (i >= a.rope_start).then(|| self.special.rotary(inputs, grid, global)),
-                pool: Pool::of(pool, [grid.rows, grid.columns], leading).filter(|_| global),
+                pool: pool.pool(global_blocks, [grid.rows, grid.columns], leading).filter(|_| !separate),
             };
+            global_blocks += usize::from(global);
             rec.scope("block", |rec| block.record(rec, x, sequences));
             rec.observe(&format!("bb/block{i}"), x.tensor);
             for (layer, _) in a.out_layers.iter().enumerate().filter(|(_, at)| **at == i) {

@@ -67,8 +67,11 @@ pub fn area() -> Area {
         problem
     });
     let counts = || Catches::from([NoCounts, NeighborCount, NeighborHead, NeighborValue, LastKey, NoTotal]);
-    add("means of 2 x 2 patches", 3 * (1 + 3 * 4), counts(), |_| pooled(Pool { side: 2, grid: [5, 7], leading: 1 }));
-    add("means of 4 x 4 patches", 3 * (2 + 2 * 3), counts(), |_| pooled(Pool { side: 4, grid: [7, 9], leading: 2 }));
+    add("means of 2 x 2 patches", 3 * (1 + 3 * 4), counts(), |_| pooled(GROUPS));
+    add("means of 4 x 4 patches", 3 * (2 + 2 * 3), counts(), |_| pooled(pool(4, [7, 9], 2)));
+    add("means, the own view whole", seen(OWN).keys(), counts(), |_| seen(OWN));
+    add("means, the first view whole", seen(FIRST).keys(), counts(), |_| seen(FIRST));
+    add("means, both whole", seen(BOTH).keys(), counts(), |_| seen(BOTH));
     let values = || Catches::from([NoTotal, HalfOfKeys, NeighborValue]);
     add("values near the largest f16", 325, values(), |keys| values_of(keys, 65_000.0));
     add("values of 1e30", 325, values(), |keys| values_of(keys, 1e30));
@@ -109,7 +112,7 @@ pub fn shapes() -> Area {
         area.sweep(name, 37, [NeighborValue, HalfOfKeys], make);
     }
     for (side, grid, leading, dim) in [(2, [3, 5], 1, 64), (3, [4, 4], 0, 16), (4, [9, 7], 1, 16)] {
-        let pool = Pool { side, grid, leading };
+        let pool = pool(side, grid, leading);
         let make =
             move || variants(Problem { pool: Some(pool), ..Problem::random(9, 3 * pool.tokens(), dim, 1.0) }).into();
         area.sweep(format!("means of {side} x {side} patches"), 3 * pool.keys(), [NoCounts], make);
@@ -136,7 +139,7 @@ pub fn shapes() -> Area {
         let limits: fn(&mut Limits) = |limits| limits.matrices.conversions = false;
         let of = |dim, keys| Problem { limits, is_tame: true, ..Problem::of([2, 2], 19, keys, dim, 1.0) };
         let logits = whole(of(64, 70), [|q| 64.0 * q, |k| 256.0 * k]);
-        let pool = Pool { side: 2, grid: [3, 5], leading: 1 };
+        let pool = pool(2, [3, 5], 1);
         let pooled = Problem { pool: Some(pool), ..of(64, pool.tokens()) };
         [of(24, 33), of(64, 1), of(64, 325), of(128, 70), logits, pooled].into()
     };
@@ -173,6 +176,20 @@ fn sliced(queries: usize, keys: usize) -> Problem {
         *v = if key * 64 / keys == channel { size } else { 0.0 };
     }
     problem
+}
+
+fn pool(side: usize, grid: [usize; 2], leading: usize) -> Pool {
+    Pool { side, grid, leading, ..GROUPS }
+}
+
+const GROUPS: Pool = Pool { side: 2, grid: [5, 7], leading: 1, own: false, first: false };
+const OWN: Pool = Pool { own: true, ..GROUPS };
+const FIRST: Pool = Pool { first: true, ..GROUPS };
+const BOTH: Pool = Pool { own: true, ..FIRST };
+
+/// Three views, all of whose tokens are queries.
+fn seen(pool: Pool) -> Problem {
+    Problem { pool: Some(pool), ..Problem::random(3 * pool.tokens(), 3 * pool.tokens(), 64, 1.0) }
 }
 
 /// The views' last groups have fewer patches.

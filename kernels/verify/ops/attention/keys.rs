@@ -16,13 +16,15 @@ pub struct Pooled {
 }
 
 impl Keys {
-    pub fn new(problem: &Problem, mode: Mode) -> Self {
+    /// Returns the keys of a sequence, or of a view of pooled ones.
+    pub fn new(problem: &Problem, mode: Mode, view: usize) -> Self {
         let [k, v] = [&problem.k, &problem.v].map(|values| Problem::held(values, mode));
         match problem.pool() {
             None => Self { k, v, pooled: None },
             Some(pool) => {
                 let width = problem.width();
-                let ((k, counts, k_off), (v, _, v_off)) = (means(pool, &k, width, mode), means(pool, &v, width, mode));
+                let seen = |x: &[f64]| means(pool, x, width, (mode, view));
+                let ((k, counts, k_off), (v, _, v_off)) = (seen(&k), seen(&v));
                 Self { k, v, pooled: Some(Pooled { counts, off: [k_off, v_off] }) }
             }
         }
@@ -52,9 +54,9 @@ impl Keys {
 }
 
 /// Bounds a sum, a division and 16-bit storage, where f16 may round either way.
-fn means(pool: Pool, x: &[f64], width: usize, mode: Mode) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
-    let (means, counts) = pool.means(x, width);
-    let sizes = pool.means(&x.iter().map(|x| x.abs()).collect::<Vec<_>>(), width).0;
+fn means(pool: Pool, x: &[f64], width: usize, (mode, view): (Mode, usize)) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+    let (means, counts) = pool.seen(x, width, view);
+    let sizes = pool.seen(&x.iter().map(|x| x.abs()).collect::<Vec<_>>(), width, view).0;
     let (unit, tiny) = match mode.factor {
         Element::F16 => (2.0 * mode.factors().unit, mode.factors().tiny),
         _ => (mode.factors().unit, TINY),

@@ -62,24 +62,32 @@ impl Problem {
     }
 
     fn keys(&self) -> usize {
-        self.pool.map_or(self.tokens(), |pool| self.tokens() / pool.tokens() * pool.keys())
+        self.pool.map_or(self.tokens(), |pool| {
+            pool.keys_of(self.tokens()) + if pool.own { pool.tokens() - pool.keys() } else { 0 }
+        })
     }
 
     fn pool(&self) -> Option<split_heads::Pool> {
-        self.pool.map(|Pool { side, grid, leading }| split_heads::Pool { side, grid, leading })
+        self.pool.map(|Pool { side, grid, leading, own, first }| split_heads::Pool { side, grid, leading, own, first })
     }
 
     fn queries(&self) -> usize {
         self.q.len() / self.sequences / self.width()
     }
 
-    fn sequence(&self, s: usize) -> Self {
-        let of = |x: &Vec<f32>| x[x.len() / self.sequences * s..][..x.len() / self.sequences].to_vec();
-        Self { sequences: 1, q: of(&self.q), k: of(&self.k), v: of(&self.v), ..*self }
+    /// Sequences, or views that see their own tokens.
+    fn parts(&self) -> usize {
+        self.pool.filter(|pool| pool.own).map_or(self.sequences, |pool| self.tokens() / pool.tokens())
     }
 
-    fn truth_of_one(&self, mode: Mode) -> Truth {
-        let (q, keys) = (Self::held(&self.q, mode), Keys::new(self, mode));
+    fn sequence(&self, s: usize) -> Self {
+        let of = |x: &Vec<f32>, parts: usize| x[x.len() / parts * s..][..x.len() / parts].to_vec();
+        let [k, v] = [&self.k, &self.v].map(|x| if self.pool.is_some() { x.clone() } else { of(x, self.sequences) });
+        Self { sequences: 1, q: of(&self.q, self.parts()), k, v, ..*self }
+    }
+
+    fn truth_of_one(&self, mode: Mode, view: usize) -> Truth {
+        let (q, keys) = (Self::held(&self.q, mode), Keys::new(self, mode, view));
         let counts: Vec<f64> = (0..self.keys()).map(|key| keys.count(key)).collect();
         let values = attention_to_means(&q, [&keys.k, &keys.v], &counts, self.heads, self.dim);
         let at = |i: usize| (&q[i * self.dim..][..self.dim], i % self.heads);
@@ -110,13 +118,17 @@ impl case::Problem for Problem {
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
         let (kernel, width) = (Self::kernel(mode, device), self.width());
-        let (sequences, queries, keys, pool) = (self.sequences, self.queries(), self.keys(), self.pool);
-        let shape =
-            Attention { heads: Heads { count: self.heads, dim: self.dim }, sequences, queries, keys, pool, kernel };
+        let (sequences, queries) = (self.parts(), self.q.len() / self.parts() / width);
+        let (common_keys, keys) = match self.pool {
+            Some(pool) => (pool.keys_of(self.tokens()), if pool.own { pool.tokens() } else { 0 }),
+            None => (0, self.keys()),
+        };
+        let heads = Heads { count: self.heads, dim: self.dim };
+        let shape = Attention { heads, sequences, queries, common_keys, keys, kernel };
         let mut trial = Trial::changed(device, self.limits);
         let tensors = shape.tensors(&mut trial.rec);
         let queries_part = Part { scale: shape.scale(), ..Part::default() };
-        let keys_part = Part { keys: true, log_counts: Some(tensors[3]), ..Part::default() };
+        let keys_part = Part { keys: true, ..Part::default() };
         let parts = [(&self.q, queries_part), (&self.k, keys_part), (&self.v, Part::default())];
         for ((values, part), tensor) in parts.into_iter().zip(tensors) {
             // NaN in the padding must not reach results.
@@ -124,18 +136,21 @@ impl case::Problem for Problem {
             let element = kernel.element();
             let (tensor_of_rows, count) = (trial.input_of(element, values), values.len() / width);
             let input = Rows { tensor: tensor_of_rows, count, width, element };
-            shape.split(&mut trial.rec, input, 0, part, tensor);
+            if part.scale != 0.0 || keys > 0 {
+                shape.split(&mut trial.rec, input, 0, part, tensor);
+            }
+            if let Some(pool) = self.pool.filter(|_| part.scale == 0.0) {
+                let out = [tensor, tensors[3]];
+                shape.split_common(&mut trial.rec, input.columns(0, width), (pool, 0), part, out);
+            }
         }
         let out = shape.record(&mut trial.rec, tensors).tensor;
         trial.result_of(kernel.element(), out)
     }
 
     fn truth(&self, mode: Mode) -> Truth {
-        if self.sequences == 1 {
-            return self.truth_of_one(mode);
-        }
         let mut all = Truth { values: Vec::new(), bounds: Vec::new(), sequences: Vec::new() };
-        for one in (0..self.sequences).map(|s| self.sequence(s).truth_of_one(mode)) {
+        for one in (0..self.parts()).map(|s| self.sequence(s).truth_of_one(mode, s)) {
             all.values.extend(one.values);
             all.bounds.extend(one.bounds);
             all.sequences.extend(one.sequences);

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     gpu::Run,
-    reconstruct::{MAX_VIEWS, Model, Ratio, ReconstructOptions, Shape},
+    reconstruct::{KvPool, MAX_VIEWS, Model, Ratio, ReconstructOptions, Shape},
     types::Image,
     weights::Checkpoint,
 };
@@ -33,9 +33,9 @@ pub struct Forward {
     /// Fractions of the tokens that become Gaussians, or auto
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
-    /// Pooling factors of cross-view attention
+    /// Keys and values of attention across views
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
-    kv_pool: Vec<usize>,
+    kv_pool: Vec<KvPool>,
     /// Network input size [default: the trained size]
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
@@ -59,7 +59,7 @@ struct Row {
     views: usize,
     tokens: usize,
     ratio: f64,
-    pool: usize,
+    pool: String,
     #[serde(flatten)]
     part: Part,
     peak_bytes: u64,
@@ -87,7 +87,7 @@ impl Forward {
                 for &pool in &self.kv_pool {
                     let request = ReconstructOptions { ratio, kv_pool: pool, ..ReconstructOptions::default() };
                     let chosen = (ratio, &request.token_selection);
-                    Shape::new(checkpoint.architecture(), views, [width, height], chosen, false)?.pooled(pool)?;
+                    Shape::new(checkpoint.architecture(), views, [width, height], chosen, false)?;
                     requests.push((views, request));
                 }
             }
@@ -118,7 +118,7 @@ impl Forward {
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
             // PyTorch has no pooling.
-            let is_like = |row: &&Row| row.part.stage.is_empty() && row.pool == 1;
+            let is_like = |row: &&Row| row.part.stage.is_empty() && row.pool == "1";
             let totals: Vec<Row> = rows.iter().filter(is_like).cloned().collect();
             let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
             text += &compared.text;
@@ -191,7 +191,7 @@ impl Forward {
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
-            pool: shape.kv_pool,
+            pool: shape.kv_pool.to_string(),
             part,
             peak_bytes,
             arena_bytes,
@@ -202,7 +202,7 @@ impl Forward {
 
 fn describe(rows: &[Row], precision: &str, device: &str, peak: &Rate) -> String {
     let Some(total) = rows.first() else { return String::new() };
-    let pooled = if total.pool > 1 { format!(" keys of {0} x {0} patches,", total.pool) } else { String::new() };
+    let pooled = if total.pool == "1" { String::new() } else { format!(" --kv-pool {},", total.pool) };
     let table = parts::table(rows.iter().map(|row| &row.part));
     format!(
         "{} views, {} tokens,{pooled} {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",

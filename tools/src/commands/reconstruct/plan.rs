@@ -15,7 +15,7 @@ use zipsplat::{
     depth::DepthNetwork,
     gpu::{Arena, ArenaRow, Limits, Plan},
     ops::{Arithmetic, Precision},
-    reconstruct::{Network, NetworkPlan},
+    reconstruct::{KvPool, Network, NetworkPlan},
     refine::{Moved, RefinePlan, plan_refinement},
     stages::render::{RenderOptions, plan_pictures},
     types::poses::{Capture, CaptureView},
@@ -153,7 +153,7 @@ fn show_depth(
     for (option, given) in [
         ("--pictures", command.pictures.is_some()),
         ("--refine", command.refine.steps().is_some()),
-        ("--kv-pool", command.quality.kv_pool != 1),
+        ("--kv-pool", command.quality.kv_pool != KvPool::ALL),
     ] {
         refuse(option, given, DEPTH_WEIGHTS, "weights of ZipSplat")?;
     }

@@ -114,7 +114,7 @@ class Model(Owner):
         scene_scale: Union[float, Literal["auto"]] = "auto",
         token_selection: TokenSelection = "kmeans",
         seed: int = 0,
-        kv_pool: int = 1,
+        kv_pool: Union[int, str] = 1,
         input_size: Optional[tuple[int, int]] = None,
         keep_features: bool = False,
         block_size: Optional[int] = None,
@@ -139,8 +139,10 @@ class Model(Owner):
             token_selection: Selection of kept tokens: "kmeans" as in the paper, "mutual" (nearest
                 neighbors across photos), "stride" or "random".
             seed: Seed of "random".
-            kv_pool: Pooling for many photos: cross-view attention reads means of kv_pool x kv_pool
-                patches, 1 to 4. Larger values are faster and less exact.
+            kv_pool: Keys and values of attention across views: 1 to 4 for means of so many patches
+                squared, "local" for the own view only, "auto" for a rule by the number of views,
+                "local/2" for the first block and the others; with "+own" and "+first", the own and
+                the first view are whole. Fewer are faster and less exact.
             input_size: Width and height of the network's input, multiples of `patch_size`; photos
                 are center-cropped. None for the model's own.
             keep_features: Whether to keep the backbone's features on the device, for
@@ -168,13 +170,14 @@ class Model(Owner):
         """
         sources, posed, capture = matched(images, cameras)
         callback, known = Callback(progress), native_cameras(posed or ())
+        pool = ffi.new("char[]", str(kv_pool).encode())
         options = structure(
             "reconstruct_options",
             **selection_fields(ratio, token_selection, seed),
             world=choose("world", world, _WORLDS),
             scene_scale=number_or_auto("scene_scale", scene_scale, NUMBERS["ZS_SCENE_SCALE_AUTO"]),
             input_size=(0, 0) if input_size is None else [positive("input_size", side) for side in input_size],
-            kv_pool=positive("kv_pool", kv_pool),
+            kv_pool=pool,
             keep_features=keep_features,
             block_size=0 if block_size is None else positive("block_size", block_size),
             block_overlap=0 if block_overlap is None else positive("block_overlap", block_overlap),

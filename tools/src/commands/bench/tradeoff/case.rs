@@ -6,7 +6,7 @@ use crate::{
 use zipsplat::{
     Result,
     ops::Precision,
-    reconstruct::{Ratio, ReconstructOptions, Shape, TokenSampling},
+    reconstruct::{KvPool, Ratio, ReconstructOptions, Shape, TokenSampling},
     refine::RefineLength,
     types::PointCloud,
     weights::Architecture,
@@ -54,7 +54,7 @@ pub fn all<'a>(
             };
             let image = &capture.views.images[0];
             let (views, size) = (capture.views.images.len(), [image.width, image.height]);
-            let shape = Shape::new(architecture, views, size, (ratio, selection), true)?.pooled(pool)?;
+            let shape = Shape::new(architecture, views, size, (ratio, selection), true)?.pooled(pool);
             let whole = shape.kept == TokenSampling::All;
             let same = |case: &Case| case.shape == shape && (whole || case.request.token_selection == *selection);
             if cases.iter().any(same) {
@@ -67,7 +67,7 @@ pub fn all<'a>(
             };
             let mut settings = format!("--ratio {ratio}");
             settings += &if whole { String::new() } else { format!(" --token-selection {select}") };
-            settings += &if pool > 1 { format!(" --kv-pool {pool}") } else { String::new() };
+            settings += &if pool == KvPool::ALL { String::new() } else { format!(" --kv-pool {pool}") };
             let (cloud, weights, refine) = (cloud.as_ref(), OWN, Vec::new());
             let mut case =
                 Case { capture, cloud, shape, request, precision, weights, select, ratio, settings, keep, refine };

@@ -29,7 +29,7 @@ const CHOSEN: Meaning = ("tokens chosen by", |p| p.token_selection.clone());
 const RATIO: Meaning = ("share of tokens", |p| p.asked_ratio.clone());
 const PRECISION: Meaning = ("precision", Point::arithmetic);
 const KEPT: Meaning = ("Gaussians a token", |p| p.max_gaussians_per_token.to_string());
-const POOL: Meaning = ("side of pooled patches", |p| p.kv_pool.to_string());
+const POOL: Meaning = ("--kv-pool", |p| p.kv_pool.clone());
 const ORIGIN: Meaning = ("Gaussians of", Point::origin);
 
 type Numbered<'a> = (usize, &'a Point);
@@ -54,7 +54,7 @@ pub struct Figure {
 
 pub fn figures(sweep: &Sweep) -> Vec<Figure> {
     let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
-    let first_pool = sweep.points.first().map_or(1, |p| p.kv_pool);
+    let first_pool = sweep.points.first().map_or("1", |p| &p.kv_pool);
     let plain = those(&all, |p| !p.is_refined() && p.kv_pool == first_pool);
     let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
     let keep = plain.iter().map(|(_, p)| p.max_gaussians_per_token).max().unwrap_or(0);

@@ -24,7 +24,7 @@ use zipsplat::{
     Error, Result,
     gpu::Device,
     ops::{Arithmetic, Precision},
-    reconstruct::{Ratio, TokenSelection},
+    reconstruct::{KvPool, Ratio, TokenSelection},
     tune::KernelChoice,
     types::{PointCloud, write_atomic},
     weights::{Checkpoint, Dtype},
@@ -64,9 +64,9 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
     token_selection: Vec<TokenSelection>,
-    /// Pooling factors of attention across photos
+    /// Keys and values of attention across views
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
-    kv_pool: Vec<usize>,
+    kv_pool: Vec<KvPool>,
     /// Gaussians kept per token, by visibility [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     max_gaussians_per_token: Option<Vec<Keep>>,

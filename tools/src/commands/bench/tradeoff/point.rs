@@ -14,7 +14,7 @@ pub struct Point {
     pub asked_ratio: String,
     /// `all` without any.
     pub token_selection: String,
-    pub kv_pool: usize,
+    pub kv_pool: String,
     pub max_gaussians_per_token: usize,
     /// `0` for none.
     pub refine: String,
@@ -59,7 +59,7 @@ impl Point {
             weights: words(OWN),
             asked_ratio: words("points"),
             token_selection: words("none"),
-            kv_pool: 1,
+            kv_pool: words("1"),
             ..Self::default()
         }
     }
@@ -103,7 +103,7 @@ impl Point {
             select => format!("{:.0} % of the tokens by {select}", 100.0 * self.ratio),
         };
         let pooled =
-            if self.kv_pool > 1 { format!(", keys of {0} x {0} patches", self.kv_pool) } else { String::new() };
+            if self.kv_pool == "1" { String::new() } else { format!(", --kv-pool {}", self.kv_pool) };
         let refined = match self.refine.split_once(':') {
             _ if !self.is_refined() => String::new(),
             Some((steps, moved)) => format!(", {steps} steps of refinement of {moved}"),
@@ -172,7 +172,7 @@ pub(super) mod tests {
             ratio: 0.5,
             asked_ratio: "0.5".into(),
             token_selection: "kmeans".into(),
-            kv_pool: 1,
+            kv_pool: "1".into(),
             max_gaussians_per_token: 8,
             refine: "0".into(),
             init: String::new(),

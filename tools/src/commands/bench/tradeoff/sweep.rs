@@ -71,8 +71,7 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
         for (ratio, selection) in
             args.ratio.iter().flat_map(|ratio| args.token_selection.iter().map(move |s| (*ratio, s)))
         {
-            let shape = Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
-            args.kv_pool.iter().try_for_each(|pool| shape.pooled(*pool).map(drop))?;
+            Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
         }
     }
     Ok(())
@@ -210,7 +209,7 @@ impl Bench<'_> {
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
-        if shape.kept == TokenSampling::All && shape.kv_pool == self.args.kv_pool[0] && case.is_exact() {
+        if shape.kept == TokenSampling::All && case.request.kv_pool == self.args.kv_pool[0] && case.is_exact() {
             self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
@@ -296,7 +295,7 @@ impl Bench<'_> {
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             asked_ratio: case.ratio.clone(),
             token_selection: case.select.clone(),
-            kv_pool: shape.kv_pool,
+            kv_pool: case.request.kv_pool.to_string(),
             max_gaussians_per_token: model.architecture().gaussians_per_token,
             refine: "0".into(),
             tokens: shape.tokens,

@@ -7,7 +7,7 @@ use std::{collections::HashMap, ops::Range};
 use zipsplat::{
     Result,
     gpu::{Run, Tensor},
-    reconstruct::{Model, ReconstructOptions, Tensors, TokenSelection},
+    reconstruct::{KvPool, Model, ReconstructOptions, Tensors, TokenSelection},
     types::{Image, Scene},
     weights::Checkpoint,
 };
@@ -43,7 +43,7 @@ pub struct Truth<'a> {
     checkpoint: &'a Checkpoint,
     reference: Option<Reference>,
     /// By number of views and pooling.
-    tokens: HashMap<[usize; 2], Tokens>,
+    tokens: HashMap<(usize, KvPool), Tokens>,
     /// By number of views and settings.
     known: HashMap<(usize, String), KnownTokens>,
 }
@@ -72,10 +72,11 @@ impl<'a> Truth<'a> {
             Some(known) => known,
             unknown => unknown.insert(network::model(self.checkpoint)?),
         };
-        let tokens = self.tokens.entry([images.len(), request.kv_pool]).or_insert_with(|| {
+        let pool = request.kv_pool.for_views(images.len());
+        let tokens = self.tokens.entry((images.len(), pool)).or_insert_with(|| {
             let priors =
                 request.cameras.as_deref().map(|cameras| cameras.iter().map(network::prior).collect::<Vec<_>>());
-            forward::tokens(reference, &network::images(&images), priors.as_deref(), request.kv_pool)
+            forward::tokens(reference, &network::images(&images), priors.as_deref(), &network::keys(pool))
         });
         let known = self.known.entry((images.len(), settings.to_owned())).or_insert_with(|| {
             let taps = forward::gaussians(reference, tokens, &chosen);
