@@ -180,7 +180,7 @@ fn cameras_of_long_videos_follow_from_keyframes() {
     let mapper = format!("cp \"${{out%/*}}/keyframes.txt\" \"$0.keys\"; {}", crate::cameras::COPIES);
     let camera = zipsplat_tests::scenes::camera(40, 30);
     let frames: Vec<_> = names.iter().map(|name| (name.as_str(), &camera)).collect();
-    let matcher = "[ -f \"$0.pairs\" ] || cp \"$pairs\" \"$0.pairs\"";
+    let matcher = "[ -f \"$0.pairs\" ] || cp \"$pairs\" \"$0.pairs\"; cp \"$pairs\" \"$0.last\"";
     let run = |count: usize, mapper: &str| {
         colmap(&folder, "video", "3.8", OPTIONS_3, ["", matcher, mapper]);
         model(&folder.path("video.model/0"), &frames[..count]);
@@ -203,7 +203,7 @@ fn cameras_of_long_videos_follow_from_keyframes() {
     let expected = |places: &[usize]| places.iter().map(|i| names[*i].clone()).collect::<Vec<_>>();
     assert_eq!(partners(7), expected(&[6, 8]));
     assert_eq!(partners(196), expected(&[198, 200]));
-    assert_eq!(partners(0), expected(&[2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 32, 64, 128]));
+    assert_eq!(partners(0), expected(&[2, 4, 6, 8, 10, 12, 14, 16, 18, 32, 64, 128]));
     assert!(mappers.len() == 1 && mappers[0].contains("keyframes.txt"), "{mappers:?}");
     let [_, paths] = others[0].split(" --input_path ").collect::<Vec<_>>()[..] else { panic!("{others:?}") };
     let (from, to) = paths.split_once(" --output_path ").expect("an output");
@@ -211,8 +211,55 @@ fn cameras_of_long_videos_follow_from_keyframes() {
     // All neighbors are matched and all photos mapped if few are registered, as after a failure.
     for mapper in [mapper.clone(), format!("{mapper};; image_registrator) exit 1")] {
         let [all, chosen, mappers, others] = run(150, &mapper);
-        assert_eq!((all.len(), chosen.len()), (1, 1));
+        assert_eq!((all.len(), chosen.len()), (0, 2));
+        let distances = (1..10).chain([16, 32, 64, 128]);
+        assert_eq!(folder.text("video.last").lines().count(), distances.map(|far: usize| 201 - far).sum::<usize>());
         assert!(mappers.iter().map(|line| line.contains("keyframes")).eq([true, false, false]), "{mappers:?}");
         assert_eq!(others.len(), 1);
     }
+}
+
+#[test]
+fn photos_of_alternating_lenses_are_matched_in_their_order() {
+    let folder = Folder::new();
+    let lenses = [40, 50].map(|width| zipsplat_tests::scenes::camera(width, 30));
+    let frames: Vec<_> = (0..12).map(|i: usize| (format!("{}/{i:06}.png", i % 2), &lenses[i % 2])).collect();
+    let frames: Vec<_> = frames.iter().map(|(name, camera)| (name.as_str(), *camera)).collect();
+    let mut expected = Vec::new();
+    folder.make("frames");
+    for (i, (name, camera)) in frames.iter().enumerate() {
+        let path = folder.path(&format!("frames/{i:03}.png"));
+        crate::photo(camera.intrinsics.width, 30, 1).save_png(path).expect("a photo");
+        expected.extend(frames.iter().skip(i + 1).take(9).map(|(next, _)| format!("{name} {next}")));
+    }
+    let copies = crate::cameras::COPIES;
+    colmap(&folder, "native", "3.8", OPTIONS_3, ["", "cp \"$pairs\" \"$0.pairs\"", copies]);
+    let python = format!(
+        "#!/bin/sh
+[ $# = 2 ] && {{ echo 3.11.1; exit 0; }}
+out=$5
+case $3 in
+pairs) cp \"$4/pairs.txt\" \"$0.pairs\";;
+cameras) {copies};;
+esac
+"
+    );
+    folder.script("python", &python);
+    for (option, name) in [("--colmap", "native"), ("--python", "python")] {
+        model(&folder.path(&format!("{name}.model/0")), &frames);
+        let line = "cameras @/frames --matching sequential -o @/found.json --overwrite --json";
+        assert_eq!(folder.run(&format!("{line} {option} @/{name}")).json()["registered"], 12);
+        assert_eq!(folder.text(&format!("{name}.pairs")), expected.join("\n"), "{name}");
+    }
+}
+
+#[test]
+fn truncated_photos_are_refused_before_matching() {
+    let (folder, _) = place();
+    colmap(&folder, "unused", "3.8", OPTIONS_3, ["", "", ""]);
+    let jpeg = crate::photo(42, 28, 1).jpeg(90).expect("a JPEG");
+    folder.write("place/images/004.jpg", &jpeg[..jpeg.len() - 2]);
+    let outcome = folder.run("cameras @/place/images --colmap @/unused -o @/cameras.json");
+    outcome.fails(3, &["004.jpg", "found a JPEG without its end marker", "expected a whole file"]);
+    assert!(!folder.path("unused.args").exists());
 }

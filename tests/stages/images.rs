@@ -2,7 +2,7 @@ use image::{DynamicImage, ImageFormat};
 use zipsplat::types::poses::CaptureView;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
-use zipsplat::types::{World, contact_sheet, tile_count, tiles};
+use zipsplat::types::{World, check_jpeg_end, contact_sheet, tile_count, tiles};
 use zipsplat_cli::protocol::Filter;
 use zipsplat_tests::photos::with_orientation;
 use zipsplat_tests::prelude::*;
@@ -273,10 +273,15 @@ fn truncated_photos_are_refused() {
     let jpeg = with_orientation(&encoded(&photo, ImageFormat::Jpeg), 1);
     for kept in [jpeg.len() / 2, jpeg.len() * 9 / 10, jpeg.len() - 2] {
         assert_format_error(&jpeg[..kept], "");
+        let words = ["truncated: found a JPEG without its end marker", "expected a whole file"];
+        assert_malformed("photo", &jpeg[..kept], |path| check_jpeg_end(path), &words);
     }
     assert_format_error(&jpeg[..jpeg.len() * 9 / 10], "truncated");
     let with_trailer = [&jpeg[..], b"a video that the camera put behind the photo"].concat();
     assert_eq!(open(&with_trailer).unwrap(), open(&jpeg).unwrap());
+    for whole in [&jpeg, &with_trailer] {
+        read_as("photo", whole, |path| check_jpeg_end(path)).expect("an end marker");
+    }
     for format in [ImageFormat::Png, ImageFormat::WebP] {
         let bytes = encoded(&photo, format);
         assert_eq!(open(&bytes).unwrap().rgb, photo.as_bytes(), "{format:?} is lossless here");

@@ -1,7 +1,7 @@
 //! RGB images.
 
 use std::fmt;
-use std::io::{Cursor, Read};
+use std::io::{Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
@@ -316,7 +316,7 @@ fn decode_bytes(bytes: &[u8]) -> Decoded<(DynamicImage, Orientation)> {
     let (decoder, orientation) = open_decoder(bytes)?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?;
     if bytes.starts_with(&JPEG_START) && !jpeg_has_end(bytes) {
-        return Err("truncated: a JPEG without its end marker".into());
+        return Err(NO_JPEG_END.into());
     }
     Ok((decoded, orientation))
 }
@@ -326,6 +326,21 @@ const JPEG_START: [u8; 2] = [0xff, 0xd8];
 const JPEG_HEADER: u64 = 1 << 18;
 const JPEG_SCAN: u8 = 0xda;
 const JPEG_END: [u8; 2] = [0xff, 0xd9];
+const NO_JPEG_END: &str = "truncated: found a JPEG without its end marker, expected a whole file";
+
+/// Rejects a truncated JPEG without decoding it. Reads the last bytes, and the whole file only if
+/// the end marker is not among them, as before a trailer.
+///
+/// # Errors
+/// [`Error::Format`] without an end marker.
+pub fn check_jpeg_end(path: impl AsRef<Path>) -> Result<()> {
+    let path = path.as_ref();
+    let failed = |source| Error::io(path, source);
+    let (mut file, mut end) = (open_file(path)?, [0; JPEG_END.len()]);
+    file.seek(SeekFrom::End(-(JPEG_END.len() as i64))).map_err(failed)?;
+    file.read_exact(&mut end).map_err(failed)?;
+    if end == JPEG_END || jpeg_has_end(&read(path)?) { Ok(()) } else { Err(Error::format(path, None, NO_JPEG_END)) }
+}
 
 /// The decoder pads truncated JPEGs with gray. Searches after the start of scan, because thumbnails
 /// in earlier segments have end markers, too.

@@ -46,7 +46,7 @@ pub use edit::{Edit, EditReport, Edited};
 pub use file::{Unfinished, open_file, remove_stale, write_atomic};
 pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};
 pub use format::SaveOptions;
-pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
+pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, check_jpeg_end, contact_sheet, is_heic_start};
 pub use lens::{CUT_VIEW_DEG, Distortion, Lens, LensView, MAX_VIEW_DEG};
 pub use mask::{MASKED, MaskSource, Masks, named_after};
 pub use median::median;

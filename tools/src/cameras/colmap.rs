@@ -184,11 +184,12 @@ impl Colmap {
         let mut command = Command::new(&self.program);
         // Temporary files are removed with the folder.
         headless(&mut command).env("TMPDIR", folder);
+        let has_pairs = folder.join(PAIRS).exists();
         if self.python {
             let words: (_, Vec<f64>) = match (step, pairs) {
                 (Step::Features, _) => ("features", vec![side.into(), FEATURES.into()]),
                 (Step::Matches, Matching::Exhaustive) => ("all", Vec::new()),
-                (Step::Matches, Matching::Sequential) => ("near", Vec::new()),
+                (Step::Matches, Matching::Sequential) => (if has_pairs { "pairs" } else { "near" }, Vec::new()),
                 (Step::Registration, _) => unreachable!("keyframes are not mapped with pycolmap"),
                 (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens, .. }), _) => {
                     let whole = [seed, first_angle, first_points, points, refines_lens.into()].map(f64::from);
@@ -198,7 +199,6 @@ impl Colmap {
             command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(f64::to_string));
             return Ok(command);
         }
-        let has_pairs = folder.join(PAIRS).exists();
         let (verb, options): (_, Vec<(&[&str], f64)>) = match (step, pairs) {
             (Step::Features, _) => (
                 "feature_extractor",

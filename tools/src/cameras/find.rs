@@ -213,14 +213,12 @@ impl EstimatedCameras {
 
 impl<'a> Search<'a> {
     fn new(searching: &Searching, colmap: &'a Colmap, work: &'a Work) -> Result<Self> {
-        let pairs = searching.matching.unwrap_or(if work.photos.len() > ALL_PAIRS {
-            Matching::Sequential
-        } else {
-            Matching::Exhaustive
-        });
+        let count = work.photos.len();
+        let default = if count > ALL_PAIRS { Matching::Sequential } else { Matching::Exhaustive };
+        let pairs = searching.matching.unwrap_or(default);
         let side = searching.matching_size.unwrap_or(SIDE);
-        let is_video = pairs == Matching::Sequential && colmap.can_map_keyframes();
-        let keyframes = if is_video { work.choose_keyframes(MAX_KEYFRAMES)? } else { work.photos.len() };
+        let most = if colmap.can_map_keyframes() { MAX_KEYFRAMES } else { count };
+        let keyframes = if pairs == Matching::Sequential { work.choose_keyframes(most)? } else { count };
         let (log, output) = (Log::new()?, ColmapOutput::default());
         Ok(Self { colmap, work, pairs, side, keyframes, log, output, times: Vec::new() })
     }
@@ -263,10 +261,12 @@ impl<'a> Search<'a> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
         let (mut best, mut best_rank, mut attempts) = (Vec::new(), (0, false, 0), 0);
+        let mut keyframe_pairs = self.keyframes < photos;
         let mut mappings = Mapping::ALL.iter();
         while let Some(&(mut mapping)) = mappings.next() {
             mapping.keyframes &= self.keyframes < photos;
-            if !mapping.keyframes && self.work.forget_pairs()? {
+            if !mapping.keyframes && std::mem::take(&mut keyframe_pairs) {
+                self.work.list_pairs(1)?;
                 self.prepare(session, Step::Matches)?;
             }
             let models = self.work.folder.path().join(format!("sparse{attempts}"));

@@ -50,6 +50,9 @@ def run(step, folder, models, numbers):
         pycolmap.match_exhaustive(database, device=pycolmap.Device.cpu)
     elif step == "near":
         pycolmap.match_sequential(database, device=pycolmap.Device.cpu)
+    elif step == "pairs":
+        # Matches unmatched pairs first. Before version 4, `match_image_pairs` is missing.
+        pycolmap.verify_matches(database, f"{folder}/pairs.txt")
     elif step == "cameras":
         if not pycolmap.incremental_mapping(database, images, models, options=mapped_with(*numbers)):
             sys.exit("failed to create sparse model")

@@ -2,19 +2,18 @@ use super::colmap::{KEYFRAMES, MASKS, PAIRS};
 use crate::{decode::exif_of, outputs::make_folder, scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
-    io::ErrorKind,
     path::{Path, PathBuf},
 };
 use zipsplat::{
     Error, Result,
     types::{
-        Image, Masks, open_file,
+        Image, Masks, check_jpeg_end, open_file,
         poses::{Capture, CaptureView},
     },
 };
 
-/// Distances of COLMAP's sequential matching.
-const NEIGHBORS: [usize; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 16, 32, 64, 128];
+/// Distances of COLMAP 3.8's sequential matching; later versions only keep the powers of two.
+const NEIGHBORS: [usize; 15] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 16, 32, 64, 128, 256, 512];
 
 /// Under short names for COLMAP's files.
 pub(super) struct Work {
@@ -51,37 +50,36 @@ impl Work {
         Ok(work)
     }
 
-    /// Lists at most `most` keyframes at equal distances, and pairs to match: of keyframes those of
-    /// COLMAP's sequential matching, of others those with the keyframes around them. Returns the
-    /// number of keyframes.
+    /// Lists at most `most` keyframes at equal distances and returns their number. Also lists the
+    /// pairs, unless those of COLMAP's sequential matcher suit: it sorts by name, and so by lens.
     pub fn choose_keyframes(&self, most: usize) -> Result<usize> {
         let count = self.photos.len();
         let distance = count.div_ceil(most);
         if distance > 1 {
-            let list = |file, lines: Vec<String>| {
-                let path = self.folder.path().join(file);
-                std::fs::write(&path, lines.join("\n")).map_err(|source| Error::io(&path, source))
-            };
-            let name = |i: usize| self.photos[i].1.clone();
-            let partners = |i: usize| match i % distance {
-                0 => NEIGHBORS.iter().map(|far| i + far * distance).collect(),
-                after => vec![i - after, i - after + distance],
-            };
-            let pairs = (0..count).flat_map(|i| partners(i).into_iter().map(move |j| (i, j)));
-            let pairs = pairs.filter(|(_, j)| *j < count).map(|(i, j)| format!("{} {}", name(i), name(j)));
-            list(PAIRS, pairs.collect())?;
-            list(KEYFRAMES, (0..count).step_by(distance).map(name).collect())?;
+            self.list(KEYFRAMES, self.photos.iter().step_by(distance).map(|(_, name)| name.clone()))?;
         }
-        Ok(count.div_ceil(distance.max(1)))
+        if distance > 1 || !self.photos.is_sorted_by_key(|(_, name)| name) {
+            self.list_pairs(distance)?;
+        }
+        Ok(count.div_ceil(distance))
     }
 
-    /// Returns whether there were pairs.
-    pub fn forget_pairs(&self) -> Result<bool> {
-        let path = self.folder.path().join(PAIRS);
-        match std::fs::remove_file(&path) {
-            Err(source) if source.kind() == ErrorKind::NotFound => Ok(false),
-            removed => removed.map(|()| true).map_err(|source| Error::io(&path, source)),
-        }
+    /// Lists pairs to match, in the photos' order. Every `distance`-th photo is a keyframe, paired
+    /// as in sequential matching. Other photos pair with the keyframes around them.
+    pub fn list_pairs(&self, distance: usize) -> Result<()> {
+        let count = self.photos.len();
+        let partners = |i: usize| match i % distance {
+            0 => NEIGHBORS.iter().map(|far| i + far * distance).collect(),
+            after => vec![i - after, i - after + distance],
+        };
+        let pairs = (0..count).flat_map(|i| partners(i).into_iter().map(move |j| (i, j)));
+        let names = |(i, j): (usize, usize)| format!("{} {}", self.photos[i].1, self.photos[j].1);
+        self.list(PAIRS, pairs.filter(|(_, j)| *j < count).map(names))
+    }
+
+    fn list(&self, file: &str, lines: impl Iterator<Item = String>) -> Result<()> {
+        let path = self.folder.path().join(file);
+        std::fs::write(&path, lines.collect::<Vec<_>>().join("\n")).map_err(|source| Error::io(&path, source))
     }
 
     /// Also returns the photos without a camera. Names are the photos' own paths.
@@ -116,13 +114,16 @@ impl Work {
     }
 }
 
-/// `None` for formats that some COLMAP cannot read.
+/// `None` for formats that some COLMAP cannot read. Rejects truncated JPEGs, which COLMAP accepts.
 fn kind(photo: &Path) -> Result<Option<&'static str>> {
     let mut start = [0; 4];
     let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);
     read.map_err(|source| Error::io(photo, source))?;
     Ok(match start {
-        [0xff, 0xd8, ..] => Some("jpg"),
+        [0xff, 0xd8, ..] => {
+            check_jpeg_end(photo)?;
+            Some("jpg")
+        }
         [0x89, b'P', b'N', b'G'] => Some("png"),
         _ => None,
     })
