@@ -106,7 +106,10 @@ void stage_biases(uint tile) {
     uint count = keys_of(tile);
     for (uint i = gl_LocalInvocationID.x; i < TILE; i += THREADS) {
         float bias = 0.0;
-        if (is_common(tile)) bias = log_counts[gl_WorkGroupID.z * common_keys + tile * TILE + min(i, count - 1)];
+        if (POOLED) {
+            bias = log_counts[gl_WorkGroupID.z * common_keys + min(tile * TILE + i, common_keys - 1)];
+            bias = is_common(tile) ? bias : 0.0;
+        }
         biases[i] = i < count ? bias : LOWEST;
     }
 }

@@ -138,9 +138,9 @@ pub fn shapes() -> Area {
     let stored = || {
         let limits: fn(&mut Limits) = |limits| limits.matrices.conversions = false;
         let of = |dim, keys| Problem { limits, is_tame: true, ..Problem::of([2, 2], 19, keys, dim, 1.0) };
+        let one = Problem { limits, is_tame: true, ..Problem::random(19, GROUPS.tokens(), 64, 1.0) };
         let logits = whole(of(64, 70), [|q| 64.0 * q, |k| 256.0 * k]);
-        let pool = pool(2, [3, 5], 1);
-        let pooled = Problem { pool: Some(pool), ..of(64, pool.tokens()) };
+        let pooled = Problem { pool: Some(GROUPS), ..one };
         [of(24, 33), of(64, 1), of(64, 325), of(128, 70), logits, pooled].into()
     };
     area.sweep("weights through shared memory", 325, [NeighborHead], stored);

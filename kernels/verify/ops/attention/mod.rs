@@ -83,7 +83,9 @@ impl Problem {
     fn sequence(&self, s: usize) -> Self {
         let of = |x: &Vec<f32>, parts: usize| x[x.len() / parts * s..][..x.len() / parts].to_vec();
         let [k, v] = [&self.k, &self.v].map(|x| if self.pool.is_some() { x.clone() } else { of(x, self.sequences) });
-        Self { sequences: 1, q: of(&self.q, self.parts()), k, v, ..*self }
+        // The first view may be whole in any case.
+        let pool = self.pool.map(|pool| Pool { own: pool.own && !(pool.first && s == 0), ..pool });
+        Self { sequences: 1, pool, q: of(&self.q, self.parts()), k, v, ..*self }
     }
 
     fn truth_of_one(&self, mode: Mode, view: usize) -> Truth {
