@@ -13,6 +13,8 @@ use crate::{
 
 /// Pixel offset 2, scale 3, quaternion 4, SH 27, depth offset, opacity.
 pub const GAUSSIAN_VALUES: usize = 38;
+/// Place of the depth offset, in units of depth.
+pub const DEPTH_OFFSET: usize = 36;
 
 const PICTURE: usize = 4;
 

@@ -17,7 +17,7 @@ mod tail;
 pub use camera::CameraTensors;
 pub use convolution::{Convolution, ConvolutionOptions};
 pub use dpt::ViewTensors;
-pub use gaussians::{GAUSSIAN_VALUES, GaussianTensors};
+pub use gaussians::{DEPTH_OFFSET, GAUSSIAN_VALUES, GaussianTensors};
 pub use position::position_table;
 
 use super::{DepthArchitecture, DepthFeatures, POSE_VALUES, ViewGrid};
