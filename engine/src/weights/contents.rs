@@ -20,13 +20,14 @@ pub(super) struct Contents {
 }
 
 /// Settings that shapes do not show.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Conf {
     pub vit_name: Option<String>,
     pub out_layers: Option<Vec<usize>>,
     pub alt_start: Option<usize>,
     /// `usize::MAX` disables it.
     pub rope_start: Option<usize>,
+    pub camera_heads: Option<usize>,
     pub gaussians_per_token: Option<usize>,
     pub sh_degree: Option<usize>,
 }

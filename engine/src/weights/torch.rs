@@ -93,6 +93,7 @@ fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
         rope_start: if without_rope { Some(usize::MAX) } else { size("rope_start")? },
         gaussians_per_token: size("gaussians_per_prototype")?.or(size("gaussians_per_token")?),
         sh_degree: size("sh_degree")?,
+        camera_heads: None,
     };
     let side = entry("img_size").and_then(|id| pickle.size(id)?.try_into().ok()).filter(|side| is_image_size(*side));
     Ok((found, side))
