@@ -101,6 +101,9 @@ fn depth_is_that_of_rust() {
     let known = zs_depth_options { input_size: SIDE, cameras: given.as_ptr(), camera_count: 2, ..Versioned::new() };
     let posed = find(&model, &photos, &known);
     assert_eq!(get(&posed, 1).1.translation, given[1].translation);
+    let coincident = [given[0]; 2];
+    let posed = find(&model, &photos, &zs_depth_options { cameras: coincident.as_ptr(), ..known });
+    assert_eq!(get(&posed, 1).1.translation, given[0].translation);
 }
 
 #[test]

@@ -1,5 +1,5 @@
 use crate::{Folder, cancel::cancelled_when, names, raw_command};
-use glam::DMat3;
+use glam::{DMat3, DVec3};
 use image::{AnimationDecoder, Delay, codecs::png::PngDecoder};
 use std::{fs::File, io::BufReader, sync::atomic::AtomicBool};
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, SaveOptions, Scene, World, poses::write_transforms};
@@ -94,6 +94,13 @@ fn photos_stored_on_their_sides_are_upright() {
     scene.save_in(folder.path("scene.ply"), &SaveOptions::default(), world.as_ref()).expect("saved");
     let (size, pictures) = drawn("--wiggle");
     assert_eq!((size, pictures.len()), ((40, 30), 4));
+    // Cameras that look down do not agree on an up in the picture.
+    let drawn_with = |up: Option<DVec3>| {
+        let world = World { up, turns: 0, ..world.clone().expect("a world") };
+        scene.save_in(folder.path("scene.ply"), &SaveOptions::default(), Some(&world)).expect("saved");
+        drawn("--wiggle")
+    };
+    assert!(drawn_with(Some(DVec3::Y)) == drawn_with(None), "a path of downward cameras");
 }
 
 #[test]

@@ -164,6 +164,33 @@ fn who_finds_the_arena_in_use_takes_another() {
 }
 
 #[test]
+fn memory_of_pictures_is_freed_for_every_pass() {
+    let (photos, request) = (photos(2), ReconstructOptions::default());
+    let mut max_memory_bytes = None;
+    for is_limited in [false, true] {
+        let device = Device::open(&DeviceOptions { max_memory_bytes, ..DeviceOptions::default() }).unwrap();
+        let model = networks::model_on(&device, "micro", Arithmetic::EXACT);
+        let made = reconstruct(&model, &photos, &request);
+        let features = || model.features(&photos, &request, |_| ControlFlow::Continue(())).unwrap();
+        let kept = features();
+        let mut renderer = Renderer::new(&device);
+        renderer.set_scene(&made.gaussians).unwrap();
+        let mut draw = || renderer.render_each(&[camera(900, 700)], &RenderOptions::default(), |_, _| Ok(())).unwrap();
+        draw();
+        max_memory_bytes = Some(device.allocated_bytes());
+        if is_limited {
+            drop(features());
+            draw();
+            drop(model.tokens(&kept, &request, |_| ControlFlow::Continue(())).unwrap());
+            draw();
+            drop(model.reconstruct_features(&kept, &request, |_| ControlFlow::Continue(())).unwrap());
+            draw();
+            assert!(reconstruct(&model, &photos, &request).to_scene().unwrap() == made.to_scene().unwrap());
+        }
+    }
+}
+
+#[test]
 fn a_scene_of_another_device_is_refused() {
     let (_, model) = alone(false);
     let (other, _) = alone(false);

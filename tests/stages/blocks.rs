@@ -1,5 +1,5 @@
-use zipsplat::Pose;
 use zipsplat::reconstruct::{Block, BlockLayout, BlockOptions, Network, Seam, Shape};
+use zipsplat::{Pose, gpu::Progress};
 use zipsplat_tests::prelude::*;
 
 /// Views of 4 x 3 patches.
@@ -164,6 +164,55 @@ fn a_pass_of_the_second_block_can_be_canceled() {
     });
     assert!(matches!(made, Err(Error::Cancelled)) && stages.is_sorted(), "{stages:?}");
     assert!(in_blocks(&model, &photos(8), &options).is_ok(), "the model stays usable");
+}
+
+#[test]
+fn a_joined_scene_too_large_fails_before_the_first_pass() {
+    let photos = photos(120);
+    let options = options(8, 2, Some(cameras(120)));
+    let joined = in_blocks(&model(), &photos, &options).expect("a reconstruction").gaussians.bytes();
+    let memory = |bytes: u64| DeviceOptions { max_memory_bytes: Some(bytes), ..DeviceOptions::default() };
+    let needed = model().weight_bytes() + joined;
+    for (bytes, fits) in [(needed, true), (needed - 1, false)] {
+        let device = Device::open(&memory(bytes)).expect("a device");
+        let model = networks::model_on(&device, "micro", Arithmetic::EXACT);
+        let (blocks, mut passes) = (blocks(&model, &options, 120).expect("blocks"), 0);
+        let made = model.reconstruct_blocks(&photos, &options, &blocks, |_| {
+            passes += 1;
+            ControlFlow::Continue(())
+        });
+        match made {
+            Ok(_) => assert!(fits && passes > 0),
+            Err(error) => assert!(matches!(error, Error::Memory { .. }) && !fits && passes == 0, "{error}: {passes}"),
+        }
+    }
+}
+
+#[test]
+fn kept_memory_does_not_change_the_blocks() {
+    let options = ReconstructOptions { scene_scale: Some(1.0), ..ReconstructOptions::default() };
+    let (photos, whole) = (photos(12), model().shape(&photos(12), &options).expect("a shape"));
+    let needed = model().weight_bytes() + model().plan(whole).expect("a plan").bytes();
+    let device = Device::open(&DeviceOptions { max_memory_bytes: Some(needed), ..DeviceOptions::default() });
+    let model = networks::model_on(&device.expect("a device"), "micro", Arithmetic::EXACT);
+    for _ in 0..2 {
+        assert_eq!(model.block_layout(12, SIZE, &options).expect("a layout").count, 1);
+        in_blocks(&model, &photos, &options).expect("a reconstruction");
+    }
+}
+
+#[test]
+fn photos_that_are_all_masked_are_refused() {
+    let (model, mut photos) = (model(), photos(8));
+    photos.iter_mut().for_each(|photo| photo.mask = Some(vec![0; (SIZE[0] * SIZE[1]) as usize]));
+    for size in [4, 8] {
+        assert_refused(in_blocks(&model, &photos, &options(size, 2, Some(cameras(8)))), &["all masked"]);
+    }
+    let options = options(8, 0, None);
+    let features = model.features(&photos, &options, |_| ControlFlow::Continue(())).expect("features");
+    let go_on = |_: Progress<'_>| ControlFlow::Continue(());
+    assert_refused(model.reconstruct_features(&features, &options, go_on), &["all masked"]);
+    assert_refused(model.tokens(&features, &options, go_on).map(drop), &["all masked"]);
 }
 
 #[test]

@@ -1,5 +1,5 @@
 use zipsplat::depth::{DepthMap, DepthPrediction, add_view};
-use zipsplat::gpu::StageTimes;
+use zipsplat::{features::PixelValues, gpu::StageTimes};
 use zipsplat_tests::prelude::*;
 
 /// Two views of 2 x 1 patches of 2 x 2 pixels.
@@ -104,11 +104,37 @@ fn opacity_follows_confidence() {
 fn chosen_patches_stand_for_all() {
     let mut depths = numbered();
     depths.patches = Some(vec![1, 2]);
+    let tokens = |value: f32| PixelValues { width: 2, height: 1, channels: 1, values: vec![value; 2] };
+    depths.patch_tokens = vec![tokens(1.0), tokens(2.0)];
     assert_eq!(pixels(&depths.scene(&cameras(), &images(), None)), [2, 3, 6, 7, 10, 11, 14, 15]);
     depths.keep_views(&[false, true]);
     assert_eq!((depths.views.len(), &depths.patches), (1, &Some(vec![0])));
+    assert_eq!(depths.patch_tokens, [tokens(2.0)]);
     let scene = depths.scene(&cameras()[1..], &images()[1..], None);
     assert_eq!(pixels(&scene), [10, 11, 14, 15]);
+}
+
+#[test]
+fn depth_offsets_of_gaussians_scale_with_depth() {
+    // Offsets of the second half put Gaussians at or behind the camera.
+    let offset = |pixel: usize| [0.5, -4.0, -5.0, f32::NAN][pixel.saturating_sub(4)];
+    let value = |i: usize| if i % 38 == 36 { offset(i / 38) } else { f32::from(u8::from((5..9).contains(&(i % 38)))) };
+    let mut depths = depths(|v| DepthMap {
+        encoding: Some([v as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0]),
+        gaussians: Some((0..38 * PIXELS).map(value).collect()),
+        ..view(|_| 4.0)
+    });
+    let known = [0.0, 10.0].map(|x| {
+        let pose = Pose { translation: DVec3::new(x, 0.0, 0.0), ..Pose::IDENTITY };
+        Camera { pose, ..cameras()[0] }
+    });
+    depths.align_to_cameras(&known).unwrap();
+    let scene = depths.scene(&known, &images(), None);
+    assert_eq!(scene.len(), 2 * 5);
+    for (i, mean) in scene.means.iter().enumerate() {
+        let distance = known[i / 5].pose.translation.distance(mean.map(f64::from).into());
+        assert!((distance - 45.0).abs() < 1e-3, "Gaussian {i} is {distance} away");
+    }
 }
 
 #[test]

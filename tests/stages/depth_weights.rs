@@ -1,8 +1,9 @@
 use safetensors::{Dtype, tensor::TensorView};
 use tempfile::TempDir;
+use zip::CompressionMethod;
 use zipsplat::ops::Ffn;
 use zipsplat::weights::{DEPTH_MODELS, DepthArchitecture, DepthCheckpoint, DepthHeads};
-use zipsplat_tests::prelude::*;
+use zipsplat_tests::{pickles::*, prelude::*};
 
 fn tiny() -> DepthArchitecture {
     let maps = (32, [16, 24, 32, 48]);
@@ -51,6 +52,46 @@ fn released_layouts_are_read() {
     let known = |name: &str| seeded.parameters().iter().any(|(other, _)| other == name);
     let unread: Vec<&String> = tensors.iter().map(|(name, _)| name).filter(|name| !known(name)).collect();
     assert!(unread.iter().all(|name| name.contains("_aux.")), "{unread:?}");
+}
+
+#[test]
+fn archives_of_pytorch_are_read() {
+    let vggt = DepthArchitecture::vggt("tiny", 64, [1, 4], [0, 1, 2, 3], (8, [8; 4]));
+    let seeded = DepthCheckpoint::seeded(vggt.clone(), "tiny").unwrap();
+    let stored = |(i, (name, shape)): (usize, &(String, Vec<usize>))| {
+        let mut values: Vec<f32> = vec![0.0; shape.iter().product()];
+        seeded.read_f32(name, &mut values).unwrap();
+        let (key, elements, strides) = (i.to_string(), values.len(), row_major(shape));
+        let view = View { kind: "FloatStorage", key: &key, elements, offset: 0, shape, strides: &strides };
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        ((name.clone(), view.pickle()), (format!("data/{key}"), bytes))
+    };
+    let (tensors, storages): (Vec<_>, Vec<_>) = seeded.parameters().iter().enumerate().map(stored).unzip();
+    let tensors: Vec<_> = tensors.iter().map(|(name, pickle)| (name.as_str(), pickle.clone())).collect();
+    let pickle = [b"\x80\x02".to_vec(), dict(&tensors), b".".to_vec()].concat();
+    let storages = storages.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
+    let entries: Vec<_> = [("data.pkl", pickle.as_slice())].into_iter().chain(storages).collect();
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.pt");
+    std::fs::write(&path, archive(&entries, CompressionMethod::Stored)).unwrap();
+    assert!(DepthCheckpoint::is_meant(path.to_str().unwrap()));
+    let read = DepthCheckpoint::open_architecture(&path, vggt).unwrap();
+    assert!(network::weights(&read).unwrap() == network::weights(&seeded).unwrap());
+}
+
+#[test]
+fn nested_networks_give_the_multi_view_one() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.safetensors");
+    let small = DepthArchitecture::named("da3-small").unwrap();
+    let of = |nested: &str, alone: DepthArchitecture| {
+        let renamed = |(name, shape): (String, Vec<usize>)| (name.replacen("model.", nested, 1), shape);
+        alone.parameters().into_iter().map(renamed).collect::<Vec<_>>()
+    };
+    let tensors = [of("model.da3.", small.clone()), of("model.da3_metric.", tiny())].concat();
+    write(&path, &tensors, None);
+    assert!(DepthCheckpoint::is_meant(path.to_str().unwrap()));
+    assert_eq!(*DepthCheckpoint::open(&path, DepthHeads::default()).unwrap().architecture(), small);
 }
 
 #[test]

@@ -261,6 +261,8 @@ fn exif_orientations_are_applied() {
         let frame = CaptureView { name: "photo".into(), photo, camera: turned, lens: None };
         let [x, y] = pixel(&frame.upright_camera());
         assert!((pixel(&seen)[0] - x).abs() < 1e-9 && (pixel(&seen)[1] - y).abs() < 1e-9, "orientation {orientation}");
+        let foreign = CaptureView { camera: seen, ..frame.clone() };
+        assert_eq!(foreign.quarter_turns(), if orientation > 4 { 0 } else { frame.quarter_turns() });
         let up = World::of_cameras(&[&frame]).and_then(|world| world.up).expect("an up");
         assert!(up.distance(-pose.rotation.y_axis) < 1e-9, "orientation {orientation}: {up}");
     }

@@ -233,6 +233,9 @@ def contradictions_are_refused_by_name():
     changed()()
     refused(changed(anchor_cells=[5, 5]), "anchor_cells", "[5, 5]", "36")
     refused(changed(architecture__color_width=64), "architecture.color_width", "64", "108")
+    for field in ("width", "ffn_hidden", "camera_hidden", "camera_pose_hidden", "fusion_hidden", "color_width", "color_hidden"):
+        refused(changed(**{f"architecture__{field}": 2052}), f"architecture.{field}", "2052", "a multiple of 8")
+    refused(changed(architecture__heads=5), "architecture.heads", "5", "width")
     refused(changed(architecture__head_hidden=600), "architecture.head_hidden", "600", "640")
     refused(changed(camera_rate=2), "camera_rate", "2")
     refused(changed(batch_scenes=4), "batch_scenes", "48")

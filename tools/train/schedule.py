@@ -35,6 +35,12 @@ def read_preset(path):
     return config
 
 
+# Of the engine: sizes with the numbers that they are multiples of, and heads with their widths.
+SIZES = {"width": 8, "ffn_hidden": 8, "patch": 2, "camera_hidden": 8, "camera_pose_hidden": 8, "fusion_hidden": 8, "color_width": 8,
+         "color_hidden": 8, "head_hidden": 8}  # fmt: skip
+HEADS = {"heads": "width", "camera_heads": "width", "fusion_heads": "width", "color_heads": "color_width"}
+
+
 def validate(config):
     """Rejects contradictory settings by name."""
 
@@ -45,6 +51,15 @@ def validate(config):
     a, initial, weights = config["architecture"], config["initial"], config["losses"]
     cells, per_token, queries = config["anchor_cells"], a["gaussians_per_token"], config["queries"]
     count = math.prod(cells)
+    expect("architecture.family", a["family"], a["family"] in ("da3", "vggt"), "da3 or vggt")
+    camera = a["family"] == "da3"
+    for field, of in SIZES.items():
+        if camera or not field.startswith("camera_"):
+            expect(f"architecture.{field}", a[field], a[field] > 0 and a[field] % of == 0, f"a multiple of {of}")
+    for field, width in HEADS.items():
+        if camera or not field.startswith("camera_"):
+            whole = a[field] > 0 and a[width] % (4 * a[field]) == 0
+            expect(f"architecture.{field}", a[field], whole, f"a divisor of {width}, {a[width]}, into heads of a multiple of 4")
     for name in ("coupled", "colors"):
         expect(f"initial.{name}", initial[name], isinstance(initial[name], bool), "true or false")
     expect("anchor_cells", cells, per_token % count == 0, f"rows and columns that divide the {per_token} Gaussians of a token")
@@ -58,7 +73,6 @@ def validate(config):
         expect(name, rate, isinstance(rate, int | float) and 0 <= rate <= 1, "a share of the learning rate, 0 to 1")
     if a["family"] == "vggt":
         expect("priors", config["priors"], config["priors"] == 0, "0, since VGGT has no known cameras as input")
-    expect("architecture.family", a["family"], a["family"] in ("da3", "vggt"), "da3 or vggt")
     warmup, size, evaluated = config["warmup"], config["size"], config["evaluate"][0]
     expect("warmup", warmup, 0 < warmup < 1, "a fraction between 0 and 1")
     expect("size", size, size % a["patch"] == 0, f"a multiple of the patch size, {a['patch']}")

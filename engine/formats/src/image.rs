@@ -297,8 +297,9 @@ fn open_decoder(bytes: &[u8]) -> Decoded<(impl ImageDecoder + '_, Orientation)> 
 
 fn stored_size(path: &Path) -> Result<((u32, u32), Orientation)> {
     let mut start = Vec::new();
-    open_file(path)?.take(JPEG_HEADER).read_to_end(&mut start).map_err(|source| Error::io(path, source))?;
-    if start.starts_with(&JPEG_START)
+    open_file(path)?.take(HEADER).read_to_end(&mut start).map_err(|source| Error::io(path, source))?;
+    // A WebP may have its EXIF at the end.
+    if (start.starts_with(&JPEG_START) || start.starts_with(PNG_START))
         && let Ok((decoder, orientation)) = open_decoder(&start)
     {
         return Ok((decoder.dimensions(), orientation));
@@ -321,9 +322,10 @@ fn decode_bytes(bytes: &[u8]) -> Decoded<(DynamicImage, Orientation)> {
     Ok((decoded, orientation))
 }
 
+/// First bytes that hold the size and EXIF of most photos.
+const HEADER: u64 = 1 << 18;
+const PNG_START: &[u8] = b"\x89PNG";
 const JPEG_START: [u8; 2] = [0xff, 0xd8];
-/// First bytes that hold the size and EXIF of most JPEGs.
-const JPEG_HEADER: u64 = 1 << 18;
 const JPEG_SCAN: u8 = 0xda;
 const JPEG_END: [u8; 2] = [0xff, 0xd9];
 const NO_JPEG_END: &str = "truncated: found a JPEG without its end marker, expected a whole file";

@@ -15,6 +15,7 @@ const CAMERAS: &str = "world: cameras, first ";
 const CAMERA: &str = "camera ";
 const LENS: &str = "lens ";
 const UP: &str = "up ";
+const TURNS: &str = "turns ";
 /// Names of photos with control characters are not stored.
 const SEPARATOR: char = '\t';
 
@@ -30,6 +31,8 @@ pub struct World {
     pub lens: Option<Intrinsics>,
     /// The cameras' mean up, if they agree on one.
     pub up: Option<DVec3>,
+    /// Clockwise quarter turns that make the first photo's picture upright.
+    pub turns: u32,
 }
 
 /// Coordinate frame of a scene.
@@ -61,7 +64,9 @@ impl World {
         let landmarks = landmarks.map(|frame| (frame.name.clone(), center(frame))).collect();
         let upright: Vec<Camera> = frames.iter().map(|frame| frame.upright_camera()).collect();
         let up = mean_up(&upright).ok().map(|up| to_world.rotation * up);
-        Self { origin, landmarks, lens: frames.first().map(|frame| frame.camera.intrinsics), up }
+        let first = frames.first();
+        let (lens, turns) = (first.map(|frame| frame.camera.intrinsics), first.map(|frame| frame.quarter_turns()));
+        Self { origin, landmarks, lens, up, turns: turns.unwrap_or(0) }
     }
 
     pub(super) fn line(world: Option<&Self>) -> String {
@@ -75,7 +80,9 @@ impl World {
             format!("{SEPARATOR}{LENS}{width} {height} {fx} {fy} {cx} {cy}")
         });
         let up = world.up.map(|up| format!("{SEPARATOR}{UP}{} {} {}", up.x, up.y, up.z));
-        format!("{MADE_BY} {}{landmarks}{}{}", world.origin, lens.unwrap_or_default(), up.unwrap_or_default())
+        let turns = (world.turns > 0).then(|| format!("{SEPARATOR}{TURNS}{}", world.turns));
+        let further = [lens, up, turns].into_iter().flatten().collect::<String>();
+        format!("{MADE_BY} {}{landmarks}{further}", world.origin)
     }
 
     pub(super) fn parse(line: &str) -> Option<Self> {
@@ -93,14 +100,16 @@ impl World {
             Camera { intrinsics: lens, pose: Pose::IDENTITY }.validate("lens").is_ok().then_some(lens)
         };
         let up = |text: &str| DVec3::from_array(numbers(text.strip_prefix(UP)?)?).try_normalize();
+        let turns = |text: &str| text.strip_prefix(TURNS)?.parse().ok().filter(|turns| *turns < 4);
         let (lens, up) = (parts.clone().find_map(lens), parts.clone().find_map(up));
-        Some(Self { origin, landmarks: parts.filter_map(landmark).collect(), lens, up })
+        let turns = parts.clone().find_map(turns).unwrap_or(0);
+        Some(Self { origin, landmarks: parts.filter_map(landmark).collect(), lens, up, turns })
     }
 }
 
 impl From<Origin> for World {
     fn from(origin: Origin) -> Self {
-        Self { origin, landmarks: Vec::new(), lens: None, up: None }
+        Self { origin, landmarks: Vec::new(), lens: None, up: None, turns: 0 }
     }
 }
 

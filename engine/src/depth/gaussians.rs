@@ -1,7 +1,7 @@
 //! Pixel-aligned Gaussians of Depth Anything 3's Gaussian head, in f64.
 
 use crate::{
-    stages::heads::GAUSSIAN_VALUES,
+    stages::heads::{DEPTH_OFFSET, GAUSSIAN_VALUES},
     types::{Camera, Scene, matrix_from_quaternion, quaternion_from_matrix, sh_rotation},
 };
 use glam::DVec3;
@@ -26,7 +26,7 @@ pub fn pixel_gaussians(depth: &[f32], values: &[f32], camera: &Camera) -> Scene 
         let pixel = |at: usize, offset: usize| at as f64 + 0.5 + value(offset);
         let (x, y) = (pixel(i % lens.width as usize, 0), pixel(i / lens.width as usize, 1));
         let ray = DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0).normalize();
-        let distance = f64::from(depth) + value(36);
+        let distance = f64::from(depth) + value(DEPTH_OFFSET);
         scene.means.push(camera.pose.transform(ray * distance).as_vec3().to_array());
         let unit = distance * PIXEL * (1.0 / lens.fx + 1.0 / lens.fy);
         scene.scales.push([2, 3, 4].map(|i| ((SCALES[0] + (SCALES[1] - SCALES[0]) * sigmoid(value(i))) * unit) as f32));

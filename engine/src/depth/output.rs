@@ -5,7 +5,7 @@ use crate::{
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
-        heads::{CameraTensors, HeadTensors, ViewTensors},
+        heads::{CameraTensors, DEPTH_OFFSET, GAUSSIAN_VALUES, HeadTensors, ViewTensors},
     },
     types::{Camera, Similarity, preprocess::PixelMap},
 };
@@ -68,16 +68,14 @@ impl DepthPrediction {
         let aligned = Similarity::of_points(&centers, &vec![1.0; centers.len()]);
         let Similarity { scale, .. } =
             aligned.ok_or_else(|| Error::argument("places of the cameras", "one", expected))?;
-        let depths = self.views.iter_mut().flat_map(|view| &mut view.depth);
-        depths.for_each(|depth| *depth = (f64::from(*depth) / scale) as f32);
+        self.views.iter_mut().for_each(|view| view.scale(1.0 / scale));
         Ok(())
     }
 
     /// Scales metric depth, predicted for [`METRIC_FOCAL`], to meters.
     pub fn to_meters(&mut self, cameras: &[Camera]) {
         for (view, Camera { intrinsics: lens, .. }) in self.views.iter_mut().zip(cameras) {
-            let factor = (lens.fx + lens.fy) / 2.0 / METRIC_FOCAL;
-            view.depth.iter_mut().for_each(|depth| *depth = (f64::from(*depth) * factor) as f32);
+            view.scale((lens.fx + lens.fy) / 2.0 / METRIC_FOCAL);
         }
     }
 
@@ -99,8 +97,7 @@ impl DepthPrediction {
             };
             let mut ratios: Vec<f64> = points.iter().filter_map(ratio).collect();
             ratios.sort_by(f64::total_cmp);
-            let scale = *ratios.get(ratios.len() / 2).ok_or(i)?;
-            view.depth.iter_mut().for_each(|depth| *depth = (f64::from(*depth) * scale) as f32);
+            view.scale(*ratios.get(ratios.len() / 2).ok_or(i)?);
         }
         Ok(())
     }
@@ -109,8 +106,9 @@ impl DepthPrediction {
     pub fn keep_views(&mut self, kept: &[bool]) {
         let all = kept.len();
         let place: Vec<usize> = (0..all).map(|view| kept[..view].iter().filter(|kept| **kept).count()).collect();
-        let mut flags = kept.iter();
-        self.views.retain(|_| flags.next() == Some(&true));
+        let (mut of_views, mut of_tokens) = (kept.iter(), kept.iter());
+        self.views.retain(|_| of_views.next() == Some(&true));
+        self.patch_tokens.retain(|_| of_tokens.next() == Some(&true));
         let each = (self.width as usize / self.patch_size) * (self.height as usize / self.patch_size);
         if let Some(patches) = &mut self.patches {
             patches.retain(|patch| kept[*patch as usize / each]);
@@ -168,6 +166,13 @@ const FEWEST: usize = 10;
 const BEHIND: f64 = 0.99;
 
 impl DepthMap {
+    /// Scales depth and the depth offsets of Gaussians.
+    pub fn scale(&mut self, factor: f64) {
+        let offsets = self.gaussians.iter_mut().flat_map(|values| values[DEPTH_OFFSET..].iter_mut());
+        let offsets = offsets.step_by(GAUSSIAN_VALUES);
+        self.depth.iter_mut().chain(offsets).for_each(|value| *value = (f64::from(*value) * factor) as f32);
+    }
+
     /// Depth with sky behind 99 % of the rest, given enough pixels of both.
     pub fn depth_behind_sky(&self) -> Vec<f32> {
         let mut depth = self.depth.clone();

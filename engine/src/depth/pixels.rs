@@ -1,5 +1,8 @@
 use super::{DepthMap, DepthPrediction, output::SKY, pixel_gaussians};
-use crate::types::{Camera, Image, SH_0, Scene};
+use crate::{
+    stages::heads::{DEPTH_OFFSET, GAUSSIAN_VALUES},
+    types::{Camera, Image, SH_0, Scene},
+};
 use glam::DVec3;
 
 /// In pixels, enough to hide the grid.
@@ -58,8 +61,8 @@ impl DepthPrediction {
                     round
                 }
             };
-            let unseen = |at: usize| !view.shows(at) || images[i].ignores(at);
-            for (i, _) in at.iter().enumerate().filter(|(_, at)| unseen(**at)) {
+            let seen = |at: usize| view.shows(at) && view.offset_depth(at) > 0.0 && !images[i].ignores(at);
+            for (i, _) in at.iter().enumerate().filter(|(_, at)| !seen(**at)) {
                 (made.opacities[i], made.scales[i]) = (0.0, [0.0; 3]);
             }
             scene.append(made);
@@ -82,6 +85,12 @@ impl DepthMap {
     pub(super) fn shows(&self, at: usize) -> bool {
         let sky = self.sky.as_ref().is_some_and(|sky| sky[at] >= SKY);
         !sky && self.depth[at].is_finite() && self.depth[at] > 0.0
+    }
+
+    /// Depth of the pixel's Gaussian.
+    fn offset_depth(&self, at: usize) -> f32 {
+        let offset = |values: &Vec<f32>| values[GAUSSIAN_VALUES * at + DEPTH_OFFSET];
+        self.depth[at] + self.gaussians.as_ref().map_or(0.0, offset)
     }
 
     /// Linear in confidence above 1, full at `least`.

@@ -2,7 +2,7 @@
 
 use super::{
     MAX_PHOTOS, MAX_VIEWS, Model, Patches, ReconstructOptions, Reconstruction, Shape, TokenSelection,
-    options::check_cameras,
+    options::check_cameras, patches::all_masked,
 };
 use crate::{
     Error, Result,
@@ -212,12 +212,32 @@ impl Model {
     /// [`Error::Argument`] for invalid options.
     pub fn block_layout(&self, views: usize, size: [u32; 2], options: &ReconstructOptions) -> Result<BlockLayout> {
         let chosen = (options.ratio, &options.token_selection);
-        let mut limits = self.device.limits().clone();
-        let own = self.network.weight_bytes() + self.arena.bytes();
-        limits.memory_bytes -= self.device.allocated_bytes().saturating_sub(own).min(limits.memory_bytes);
+        let limits = Limits { memory_bytes: self.available_bytes(), ..self.device.limits().clone() };
         self.network.block_layout(&limits, views, options.blocks, |views| {
             Shape::new(self.architecture(), views, size, chosen, options.cameras.is_some()).map(|shape| shape.pooled(options.kv_pool))
         })
+    }
+
+    /// Returns the device's memory without that of others. Kept scenes in use are others'.
+    fn available_bytes(&self) -> u64 {
+        // Another thread may be reconstructing.
+        let recorded = self.recorded.try_lock();
+        let kept = recorded.iter().flat_map(|recorded| recorded.iter().flat_map(|recorded| &recorded.scenes));
+        let kept: u64 = kept.filter(|scene| scene.is_free()).map(|scene| scene.resident().bytes()).sum();
+        let own = self.weight_bytes() + self.arena.bytes() + kept;
+        self.device.limits().memory_bytes.saturating_sub(self.device.allocated_bytes().saturating_sub(own))
+    }
+
+    /// Checks that the passes fit, and then the scene of all views, which replaces them.
+    fn check_memory(&self, views: usize, shape: Shape) -> Result<()> {
+        let (plan, available) = (self.plan(shape)?, self.available_bytes());
+        let mut layout = ResidentLayout::new(self.device.limits());
+        // Each view has the tokens of one block.
+        let len = plan.tensors.scene().len * views / shape.grid.views;
+        SceneTensors::lay_out(&mut layout, len, plan.tensors.scene().sh_degree);
+        let needed = self.weight_bytes() + plan.bytes().max(layout.bytes());
+        let what = format!("the scene of {views} views in blocks");
+        if needed > available { Err(Error::Memory { what, needed, available }) } else { Ok(()) }
     }
 
     /// As [`Model::reconstruct_views`], in a pass per block. Known cameras place the blocks;
@@ -225,7 +245,7 @@ impl Model {
     ///
     /// # Errors
     /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that
-    /// share too few patches.
+    /// share too few patches; [`Error::Memory`] before the first pass if the scene does not fit.
     pub fn reconstruct_blocks(
         &self,
         images: &[Image],
@@ -245,7 +265,10 @@ impl Model {
             let views: Vec<Image> = block.views.iter().map(|view| images[*view].clone()).collect();
             let (cameras, origin) = options.cameras.as_deref().map(|cameras| block.cameras(cameras)).unzip();
             let options = ReconstructOptions { cameras, scene_scale: Some(block.scene_scale), ..options.clone() };
-            let made = self.reconstruct_views(&views, &options, |now| {
+            if i == 0 {
+                self.check_memory(images.len(), self.shape(&views, &options)?)?;
+            }
+            let made = self.pass(&views, &options, |now| {
                 progress(Progress { fraction: (i as f64 + now.fraction) / blocks.len() as f64, ..now })
             })?;
             joined.add(made, (i, block), origin)?;
@@ -311,12 +334,11 @@ impl Joined {
 
     fn finish(self, model: &Model, views: usize) -> Result<Reconstruction> {
         let Self { scene, kept, seams, times, outline, skipped_passes, peak_bytes, shape, .. } = self;
-        let Some((grid, posed)) = shape.filter(|_| !kept.is_empty()) else {
-            return Err(Error::argument("patches of the views", "all masked", "one or more that are not"));
-        };
+        let (grid, posed) = shape.filter(|_| !kept.is_empty()).ok_or_else(all_masked)?;
         let mut layout = ResidentLayout::new(model.device.limits());
         let tensors = SceneTensors::lay_out(&mut layout, scene.len(), scene.sh_degree);
-        let gaussians = SceneMemory::new(&model.device, &layout, tensors)?.made_in(&model.arena).write(&scene)?;
+        let gaussians = model
+            .in_arena(|_, _| SceneMemory::new(&model.device, &layout, tensors)?.made_in(&model.arena).write(&scene))?;
         Ok(Reconstruction {
             tokens: kept.len(),
             patches: Patches { grid: ViewGrid { views, ..grid }, kept: Some(kept), posed },

@@ -1,16 +1,18 @@
 use super::{
-    Model, Patches, ReconstructOptions, Reconstruction, Shape, network::FeatureTensors, patches::masked_patches,
+    Model, Patches, ReconstructOptions, Reconstruction, Shape,
+    network::FeatureTensors,
+    patches::{all_masked, masked_patches},
     write_choice,
 };
 use crate::{
     Result,
     features::PixelValues,
-    gpu::{Device, Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
+    gpu::{Device, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
         render::{SceneMemory, SceneTensors},
     },
-    types::{Image, near},
+    types::Image,
 };
 use std::{ops::ControlFlow, sync::Arc};
 
@@ -100,20 +102,21 @@ impl Model {
         &self,
         images: &[Image],
         options: &ReconstructOptions,
-        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+        mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<BackboneFeatures> {
         let shape = self.shape(images, options)?;
-        let mut layout = ResidentLayout::new(self.device.limits());
-        let tensors = FeatureTensors::lay_out(&mut layout, self.architecture(), shape.grid);
-        let mut rec = Recorder::new(self.device.limits());
-        let inputs = self.network.record_features(&mut rec, shape, &tensors);
-        let memory = Arc::new(Resident::new(&self.device, &layout)?);
-        let (arena, _claim) = self.arena.claimed();
-        let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
-        self.write_photos(&mut run, &inputs, shape, images, options)?;
-        let times = run.execute_with(progress)?;
-        let masked = masked_patches(shape.grid, images);
-        Ok(BackboneFeatures { shape, tensors, memory, scene_scale: options.scale(), masked, times })
+        self.in_arena(|arena, _| {
+            let mut layout = ResidentLayout::new(self.device.limits());
+            let tensors = FeatureTensors::lay_out(&mut layout, self.architecture(), shape.grid);
+            let mut rec = Recorder::new(self.device.limits());
+            let inputs = self.network.record_features(&mut rec, shape, &tensors);
+            let memory = Arc::new(Resident::new(&self.device, &layout)?);
+            let mut run = Run::in_arena(arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
+            self.write_photos(&mut run, &inputs, shape, images, options)?;
+            let times = run.execute_with(&mut progress)?;
+            let masked = masked_patches(shape.grid, images);
+            Ok(BackboneFeatures { shape, tensors, memory, scene_scale: options.scale(), masked, times })
+        })
     }
 
     /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection
@@ -122,38 +125,26 @@ impl Model {
         &self,
         features: &BackboneFeatures,
         options: &ReconstructOptions,
-        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+        mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         let shape = self.shape_of(features, options)?;
         let options = ReconstructOptions { scene_scale: Some(features.scene_scale), ..options.clone() };
-
-        let mut layout = ResidentLayout::new(self.device.limits());
-        let degree = self.architecture().sh_degree as u32;
-        let into = SceneTensors::lay_out(&mut layout, self.network.gaussians_of(shape), degree);
-        let mut rec = Recorder::new(self.device.limits());
-        let choice = self.network.record_decoding(&mut rec, shape, &features.tensors, &into);
-        let (arena, _claim) = self.arena.claimed();
-        let mut scene = SceneMemory::new(&self.device, &layout, into)?.made_in(&arena);
-        let memories = [self.parameters.resident.clone(), features.memory.clone(), scene.resident().clone()];
-        let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
-        write_choice(&mut run, choice, shape, &options)?;
-        let times = run.execute_with(progress)?;
-        let mut patches = Patches::of(&run, choice, shape, &options)?;
-        let unmasked = patches.drop_masked(features.masked.as_deref());
-        scene.show_tokens(unmasked.as_deref(), shape.tokens)?;
-        let gaussians = scene.scene(degree, near(features.scene_scale), false);
-        Ok(Reconstruction {
-            tokens: shape.tokens,
-            patches,
-            unmasked,
-            times,
-            outline: Profile::outline(run.plan()),
-            skipped_passes: shape.skipped_passes(),
-            seams: Vec::new(),
-            peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + features.bytes() + gaussians.bytes(),
-            gaussians,
-            placement: None,
-        })
+        let made = self.in_arena(|arena, _| {
+            let mut layout = ResidentLayout::new(self.device.limits());
+            let degree = self.architecture().sh_degree as u32;
+            let into = SceneTensors::lay_out(&mut layout, self.network.gaussians_of(shape), degree);
+            let mut rec = Recorder::new(self.device.limits());
+            let choice = self.network.record_decoding(&mut rec, shape, &features.tensors, &into);
+            let mut scene = SceneMemory::new(&self.device, &layout, into)?.made_in(arena);
+            let memories = [self.parameters.resident.clone(), features.memory.clone(), scene.resident().clone()];
+            let mut run = Run::in_arena(arena, 0, rec.finish()?, memories)?;
+            let masked = features.masked.as_deref();
+            self.decode(&mut run, (choice, &mut scene), shape, &options, masked, &mut progress)
+        })?;
+        if made.patches.is_empty() {
+            return Err(all_masked());
+        }
+        Ok(Reconstruction { peak_bytes: made.peak_bytes + features.bytes(), ..made })
     }
 
     /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`,
@@ -162,26 +153,27 @@ impl Model {
         &self,
         features: &BackboneFeatures,
         options: &ReconstructOptions,
-        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+        mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<SceneTokens> {
         let shape = self.shape_of(features, options)?;
         let width = self.architecture().width + self.architecture().color_width;
-        let mut layout = ResidentLayout::new(self.device.limits());
-        let tensor = layout.add::<f32>(shape.tokens * width);
-        let mut rec = Recorder::new(self.device.limits());
-        let choice = self.network.record_tokens(&mut rec, shape, &features.tensors, tensor);
-        let memory = Arc::new(Resident::new(&self.device, &layout)?);
-        let (arena, _claim) = self.arena.claimed();
-        let memories = [self.parameters.resident.clone(), features.memory.clone(), memory.clone()];
-        let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
-        write_choice(&mut run, choice, shape, options)?;
-        run.execute_with(progress)?;
-        let tokens = SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale };
-        let mut patches = Patches::of(&run, choice, shape, options)?;
-        match patches.drop_masked(features.masked.as_deref()) {
-            Some(unmasked) => tokens.among(&self.device, &unmasked),
-            None => Ok(tokens),
-        }
+        self.in_arena(|arena, _| {
+            let mut layout = ResidentLayout::new(self.device.limits());
+            let tensor = layout.add::<f32>(shape.tokens * width);
+            let mut rec = Recorder::new(self.device.limits());
+            let choice = self.network.record_tokens(&mut rec, shape, &features.tensors, tensor);
+            let memory = Arc::new(Resident::new(&self.device, &layout)?);
+            let memories = [self.parameters.resident.clone(), features.memory.clone(), memory.clone()];
+            let mut run = Run::in_arena(arena, 0, rec.finish()?, memories)?;
+            write_choice(&mut run, choice, shape, options)?;
+            run.execute_with(&mut progress)?;
+            let tokens = SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale };
+            match Patches::of(&run, choice, shape, options)?.drop_masked(features.masked.as_deref()) {
+                Some(unmasked) if unmasked.is_empty() => Err(all_masked()),
+                Some(unmasked) => tokens.among(&self.device, &unmasked),
+                None => Ok(tokens),
+            }
+        })
     }
 
     fn shape_of(&self, features: &BackboneFeatures, options: &ReconstructOptions) -> Result<Shape> {

@@ -31,7 +31,7 @@ use crate::{
     weights::{Architecture, Checkpoint},
 };
 use network::{Choice, Inputs};
-use patches::masked_patches;
+use patches::{all_masked, masked_patches};
 use std::{ops::ControlFlow, sync::Mutex};
 
 /// A reconstructed scene.
@@ -197,48 +197,74 @@ impl Model {
         options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
-        let shape = self.shape(images, options)?;
-        let Some(_claim) = self.arena.claim() else {
-            return self.reconstruct_in(&Arena::new(&self.device), &mut None, shape, images, options, progress);
-        };
-        // The claim is exclusive; a panic leaves no partial state.
-        let mut recorded = self.recorded.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        self.reconstruct_in(&self.arena, &mut recorded, shape, images, options, progress)
+        let made = self.pass(images, options, progress)?;
+        if made.patches.is_empty() { Err(all_masked()) } else { Ok(made) }
     }
 
-    fn reconstruct_in(
+    /// As [`Model::reconstruct_views`], but all patches may be masked.
+    fn pass(
         &self,
-        arena: &Arena,
-        recorded: &mut Option<Recorded>,
-        shape: Shape,
         images: &[Image],
         options: &ReconstructOptions,
+        mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Reconstruction> {
+        let shape = self.shape(images, options)?;
+        self.in_arena(|arena, recorded| {
+            if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
+                *recorded = None;
+                *recorded = Some(self.record_for(arena, shape)?);
+            }
+            let Some(Recorded { run, tensors, layout, scenes, .. }) = recorded else { unreachable!("just recorded") };
+            let free = match scenes.iter().position(SceneMemory::is_free) {
+                Some(free) => free,
+                None => {
+                    scenes.truncate(SCENES - 1);
+                    scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
+                    scenes.len() - 1
+                }
+            };
+            run.replace_resident(scenes[free].resident().clone());
+            self.write_photos(run, &tensors.inputs, shape, images, options)?;
+            let masked = masked_patches(shape.grid, images);
+            let outputs = (tensors.choice, &mut scenes[free]);
+            self.decode(run, outputs, shape, options, masked.as_deref(), &mut progress)
+        })
+    }
+
+    /// Calls `work` with the claimed arena and its recorded plan, or with a new arena. If memory is
+    /// short, frees the plan and the arena, which renderings may have grown, and repeats `work`.
+    fn in_arena<T>(&self, mut work: impl FnMut(&Arena, &mut Option<Recorded>) -> Result<T>) -> Result<T> {
+        let (arena, claim) = self.arena.claimed();
+        // The claim is exclusive; a panic leaves no partial state.
+        let own = claim.as_ref().map(|_| self.recorded.lock().unwrap_or_else(|poisoned| poisoned.into_inner()));
+        let (mut own, mut other) = (own, None);
+        let recorded = own.as_deref_mut().unwrap_or(&mut other);
+        match work(&arena, recorded) {
+            Err(Error::Memory { .. }) => {
+                *recorded = None;
+                arena.release()?;
+                work(&arena, recorded)
+            }
+            done => done,
+        }
+    }
+
+    /// Executes a run that writes a scene, without tokens of `masked` patches.
+    fn decode(
+        &self,
+        run: &mut Run,
+        (choice, scene): (Choice, &mut SceneMemory),
+        shape: Shape,
+        options: &ReconstructOptions,
+        masked: Option<&[bool]>,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
-        if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
-            *recorded = None;
-            *recorded = Some(match self.record_for(arena, shape) {
-                // Renderings may hold memory.
-                Err(Error::Memory { .. }) => arena.release().and_then(|()| self.record_for(arena, shape))?,
-                found => found?,
-            });
-        }
-        let Some(Recorded { run, tensors, layout, scenes, .. }) = recorded else { unreachable!("just recorded") };
-        let free = match scenes.iter().position(SceneMemory::is_free) {
-            Some(free) => free,
-            None => {
-                scenes.truncate(SCENES - 1);
-                scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
-                scenes.len() - 1
-            }
-        };
-        run.replace_resident(scenes[free].resident().clone());
-        self.write_inputs(run, tensors, shape, images, options)?;
+        write_choice(run, choice, shape, options)?;
         let times = run.execute_with(progress)?;
-        let mut patches = Patches::of(run, tensors.choice, shape, options)?;
-        let unmasked = patches.drop_masked(masked_patches(shape.grid, images).as_deref());
-        scenes[free].show_tokens(unmasked.as_deref(), shape.tokens)?;
-        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(options.scale()), false);
+        let mut patches = Patches::of(run, choice, shape, options)?;
+        let unmasked = patches.drop_masked(masked);
+        scene.show_tokens(unmasked.as_deref(), shape.tokens)?;
+        let gaussians = scene.scene(self.architecture().sh_degree as u32, near(options.scale()), false);
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches,
@@ -247,7 +273,7 @@ impl Model {
             outline: Profile::outline(run.plan()),
             skipped_passes: shape.skipped_passes(),
             seams: Vec::new(),
-            peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
+            peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + gaussians.bytes(),
             gaussians,
             placement: None,
         })

@@ -34,6 +34,10 @@ pub(super) fn masked_patches(grid: ViewGrid, images: &[Image]) -> Option<Vec<boo
     has_mask.then(|| (0..grid.tokens()).map(is_masked).collect())
 }
 
+pub(super) fn all_masked() -> Error {
+    Error::argument("patches of the views", "all masked", "one or more that are not")
+}
+
 impl Patches {
     /// Patches of tokens `kept`, or all.
     pub fn new(grid: ViewGrid, kept: Option<Vec<u32>>) -> Self {

@@ -12,7 +12,7 @@ pub mod render;
 pub use architecture::{
     Architecture, BackboneArchitecture, CameraArchitecture, DEPTH_MODELS, DepthArchitecture, Family, RECIPES, VARIANTS,
 };
-pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE};
+pub(crate) use architecture::{MAX_DEPTH, MAX_SIZE, parameter_count};
 
 use crate::{
     Result,

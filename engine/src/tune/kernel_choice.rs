@@ -65,5 +65,5 @@ fn lacking(precision: Precision, limits: &Limits) -> Error {
 }
 
 fn refused(found: String, limits: &Limits) -> Error {
-    Error::argument("precision", found, format!("exact on {}", limits.name))
+    Error::argument("precision", found, format!("{} on {}", Precision::Fp32.name(), limits.name))
 }

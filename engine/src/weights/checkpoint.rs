@@ -5,7 +5,7 @@ use std::path::Path;
 use super::contents::Contents;
 use super::source::Bytes;
 use super::values::Values;
-use super::{Architecture, Dtype, inference, safetensors, torch};
+use super::{Architecture, Dtype, inference, safetensors};
 use crate::ops::Arithmetic;
 use crate::types::preprocess::DEFAULT_SIZE;
 use crate::{Error, Result};
@@ -113,8 +113,7 @@ impl Checkpoint {
         file: Bytes,
         architecture: impl FnOnce(&Contents, &Path) -> Result<Identified>,
     ) -> Result<Self> {
-        let contents =
-            if torch::is_archive(&file) { torch::contents(path, &file)? } else { safetensors::contents(path, &file)? };
+        let contents = Contents::of(path, &file)?;
         let (architecture, assumed) = architecture(&contents, path)?;
         let rounded = contents.doubles();
         let rounded = (rounded > 0).then(|| format!("{}: {rounded} tensors of f64 are rounded to f32", path.display()));

@@ -1,8 +1,9 @@
 use std::collections::HashMap;
+use std::path::Path;
 
 use super::tensor::{Stored, StoredDtype};
-use super::{Architecture, DepthArchitecture};
-use crate::types::preprocess::PATCH;
+use super::{Architecture, DepthArchitecture, safetensors, torch};
+use crate::{Result, types::preprocess::PATCH};
 
 pub(super) const MAX_IMAGE_SIZE: u32 = 8192;
 
@@ -19,13 +20,14 @@ pub(super) struct Contents {
 }
 
 /// Settings that shapes do not show.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Conf {
     pub vit_name: Option<String>,
     pub out_layers: Option<Vec<usize>>,
     pub alt_start: Option<usize>,
     /// `usize::MAX` disables it.
     pub rope_start: Option<usize>,
+    pub camera_heads: Option<usize>,
     pub gaussians_per_token: Option<usize>,
     pub sh_degree: Option<usize>,
 }
@@ -36,11 +38,15 @@ pub(super) fn add(
     tensor: Result<Stored, String>,
 ) -> Result<(), String> {
     let tensor = tensor.map_err(|reason| format!("{name}: {reason}"))?;
-    let parts: Vec<&str> = name.split('.').filter(|part| !WRAPPERS.contains(part)).collect();
-    match tensors.insert(parts.join("."), tensor) {
+    match tensors.insert(bare(name), tensor) {
         Some(_) => Err(format!("{name}: found twice, with and without `module.` or `_orig_mod.`")),
         None => Ok(()),
     }
+}
+
+/// Removes wrappers from a tensor's name.
+pub(super) fn bare(name: &str) -> String {
+    name.split('.').filter(|part| !WRAPPERS.contains(part)).collect::<Vec<_>>().join(".")
 }
 
 pub(super) fn is_image_size(side: u32) -> bool {
@@ -48,6 +54,11 @@ pub(super) fn is_image_size(side: u32) -> bool {
 }
 
 impl Contents {
+    /// Reads safetensors or a `torch.save` archive.
+    pub fn of(path: &Path, file: &[u8]) -> Result<Self> {
+        if torch::is_archive(file) { torch::contents(path, file) } else { safetensors::contents(path, file) }
+    }
+
     pub fn axis(&self, name: &str, axis: usize) -> Option<usize> {
         self.tensors.get(name)?.shape.get(axis).copied()
     }

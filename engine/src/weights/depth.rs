@@ -4,13 +4,15 @@ use std::path::Path;
 use super::contents::Contents;
 use super::source::Bytes;
 use super::values::Values;
-use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, safetensors};
+use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, safetensors, torch};
 use crate::{Error, Result, stages::MAX_DEPTH};
 
 const BACKBONE: &str = "model.backbone.pretrained";
 const AGGREGATOR: &str = "aggregator.";
 const GAUSSIANS: &str = "model.gs_head.";
 const POINTS: &str = "point_head.";
+/// The multi-view network of DA3NESTED, beside a metric one.
+const NESTED: &str = "model.da3.";
 
 /// Optional heads of a depth network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,12 +45,10 @@ impl DepthCheckpoint {
     pub fn is_meant(text: &str) -> bool {
         match text.strip_prefix("seeded:") {
             Some(name) => DEPTH_MODELS.contains(&name),
-            None => {
-                let path = Path::new(text);
-                let read = || safetensors::contents(path, &Bytes::open(path).ok()?).ok();
-                let known = |name: &String| name.starts_with(BACKBONE) || name.starts_with(AGGREGATOR);
-                read().is_some_and(|contents| contents.tensors.keys().any(known))
-            }
+            None => names(Path::new(text)).is_ok_and(|names| {
+                let known = |name: &String| [BACKBONE, AGGREGATOR, NESTED].iter().any(|start| name.starts_with(start));
+                names.iter().any(known)
+            }),
         }
     }
 
@@ -75,7 +75,8 @@ impl DepthCheckpoint {
         }
     }
 
-    /// Opens a released `model.safetensors` or a saved file with `heads`.
+    /// Opens a released `model.safetensors` or `model.pt`, or a saved file, with `heads`. A file of
+    /// nested networks gives the multi-view one.
     ///
     /// # Errors
     /// As [`Checkpoint::open`](super::Checkpoint::open); [`Error::Argument`] for a network without
@@ -83,7 +84,7 @@ impl DepthCheckpoint {
     pub fn open(path: impl AsRef<Path>, heads: DepthHeads) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
-        let contents = safetensors::contents(path, &file)?;
+        let contents = contents(path, &file)?;
         let known = match &contents.depth_architecture {
             Some(stated) => stated.clone(),
             None => inferred(&contents, path)?,
@@ -95,7 +96,7 @@ impl DepthCheckpoint {
     pub fn open_architecture(path: impl AsRef<Path>, architecture: DepthArchitecture) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
-        let contents = safetensors::contents(path, &file)?;
+        let contents = contents(path, &file)?;
         Self::of(path, file, contents, architecture)
     }
 
@@ -132,6 +133,24 @@ impl DepthCheckpoint {
         let stated = [(safetensors::DEPTH_ARCHITECTURE_KEY, serde_json::to_string(&self.architecture))];
         safetensors::save(self, stated, path.as_ref(), dtype, progress)
     }
+}
+
+fn names(path: &Path) -> Result<Vec<String>> {
+    let file = Bytes::open(path)?;
+    if torch::is_archive(&file) {
+        return torch::names(path, &file);
+    }
+    Ok(safetensors::contents(path, &file)?.tensors.into_keys().collect())
+}
+
+fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
+    let mut found = Contents::of(path, file)?;
+    if found.tensors.keys().any(|name| name.starts_with(NESTED)) {
+        let all = std::mem::take(&mut found.tensors).into_iter();
+        let own = all.filter_map(|(name, tensor)| Some((format!("model.{}", name.strip_prefix(NESTED)?), tensor)));
+        found.tensors = own.collect();
+    }
+    Ok(found)
 }
 
 fn with_heads(known: DepthArchitecture, DepthHeads { gaussians, points }: DepthHeads) -> Result<DepthArchitecture> {

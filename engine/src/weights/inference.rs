@@ -18,7 +18,7 @@ pub(super) fn architecture(
     path: &Path,
     variant: Option<&str>,
 ) -> Result<(Architecture, Option<String>)> {
-    let wanted = Variant::parse(variant)?;
+    let wanted = Variant::parse(variant, contents.conf.clone())?;
     let file = path.display().to_string();
     if let Some(stated) = &contents.architecture {
         wanted.check(stated, &file)?;
@@ -26,28 +26,28 @@ pub(super) fn architecture(
     }
     let shapes = Shapes(contents);
     let size = shapes.size_of_network(&file)?;
-    let like = like(&wanted, &size, &file)?;
-    let conf = &contents.conf;
+    let Variant { name: wanted, conf } = wanted;
+    let like = like(wanted, &size, &file)?;
 
-    let given = wanted.out_layers.as_ref().or(conf.out_layers.as_ref());
-    let out_layers = given.or(like.as_ref().map(|like| &like.out_layers)).ok_or_else(|| size.unknown(&file))?.clone();
+    let out_layers = conf.out_layers.as_ref().or(like.as_ref().map(|like| &like.out_layers));
+    let out_layers = out_layers.ok_or_else(|| size.unknown(&file))?.clone();
     let normed = Some(size.qk_norm_start).filter(|start| *start < size.depth);
-    let alt_start = wanted.alt_start.or(conf.alt_start).or(normed).or(like.as_ref().map(|like| like.alt_start));
+    let alt_start = conf.alt_start.or(normed).or(like.as_ref().map(|like| like.alt_start));
     let alt_start = alt_start.ok_or_else(|| size.unknown(&file))?;
-    let rope_start = wanted.rope_start.or(conf.rope_start).unwrap_or(alt_start).min(size.depth);
+    let rope_start = conf.rope_start.unwrap_or(alt_start).min(size.depth);
 
     let mut found = Architecture {
         qk_norm_start: size.qk_norm_start,
         rope_start,
         ..Architecture::new("custom", size.width, size.depth, alt_start, &out_layers)
     };
-    shapes.fill(&mut found, &wanted, conf)?;
-    found.name = name(&found, &wanted, conf);
+    shapes.fill(&mut found, &conf)?;
+    found.name = name(&found, wanted, conf.vit_name.as_deref());
     found.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
     let assumed = [
-        (given.is_none()).then(|| format!("out_layers {out_layers:?}")),
-        (wanted.alt_start.or(conf.alt_start).is_none()).then(|| format!("alt_start {alt_start}")),
-        (wanted.rope_start.or(conf.rope_start).is_none()).then(|| format!("rope_start {rope_start}")),
+        conf.out_layers.is_none().then(|| format!("out_layers {out_layers:?}")),
+        conf.alt_start.is_none().then(|| format!("alt_start {alt_start}")),
+        conf.rope_start.is_none().then(|| format!("rope_start {rope_start}")),
     ];
     let assumed: Vec<String> = assumed.into_iter().flatten().collect();
     let note = || format!("{file} does not say all of its architecture; assumed are {}", assumed.join(", "));
@@ -78,9 +78,9 @@ impl Size {
     }
 }
 
-fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture>> {
+fn like(wanted: Option<&str>, size: &Size, file: &str) -> Result<Option<Architecture>> {
     let all = VARIANTS.iter().chain(&RECIPES).map(|name| Architecture::named(name)).collect::<Result<Vec<_>>>()?;
-    if let Some(name) = wanted.name {
+    if let Some(name) = wanted {
         let named = Architecture::named(name)?;
         if !size.describes(&named) {
             let expected = format!("a network of width {} and {} blocks, as {file} has", size.width, size.depth);
@@ -94,7 +94,7 @@ fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture
     Ok(all.into_iter().find(|like| size.describes(like) && like.out_layers.len() == size.layers))
 }
 
-fn name(found: &Architecture, wanted: &Variant, conf: &Conf) -> String {
+fn name(found: &Architecture, wanted: Option<&str>, vit_name: Option<&str>) -> String {
     let same = |like: &Architecture| {
         let blocks = |a: &Architecture| (a.width, a.depth, a.alt_start, a.qk_norm_start, a.rope_start);
         blocks(like) == blocks(found) && like.out_layers == found.out_layers
@@ -102,8 +102,7 @@ fn name(found: &Architecture, wanted: &Variant, conf: &Conf) -> String {
     let known = VARIANTS.iter().chain(&RECIPES).find(|name| Architecture::named(name).is_ok_and(|like| same(&like)));
     let in_words =
         |name: &&str| !name.is_empty() && name.len() <= MAX_NAME && name.chars().all(|c| c.is_ascii_graphic());
-    let conf = conf.vit_name.as_deref().filter(in_words);
-    wanted.name.or(known.copied()).or(conf).unwrap_or("custom").to_string()
+    wanted.or(known.copied()).or(vit_name.filter(in_words)).unwrap_or("custom").to_string()
 }
 
 struct Shapes<'a>(&'a Contents);
@@ -137,7 +136,7 @@ impl Shapes<'_> {
         Ok(Size { width, depth, layers: self.count("downscale"), qk_norm_start })
     }
 
-    fn fill(&self, found: &mut Architecture, wanted: &Variant, conf: &Conf) -> Result<()> {
+    fn fill(&self, found: &mut Architecture, conf: &Conf) -> Result<()> {
         let set = |field: &mut usize, name: &str, axis| *field = self.0.axis(name, axis).unwrap_or(*field);
         let heads = |field: &mut usize, width: usize, at: &str| {
             let dim = self.0.axis(&format!("{at}.attn.q_norm.weight"), 0).filter(|dim| (1..=width).contains(dim));
@@ -154,7 +153,7 @@ impl Shapes<'_> {
             found.position_grid = positions.saturating_sub(1).isqrt();
         }
         found.camera_depth = self.count("backbone.cam_enc.trunk").max(1);
-        found.camera_heads = wanted.camera_heads.unwrap_or(found.camera_heads);
+        found.camera_heads = conf.camera_heads.unwrap_or(found.camera_heads);
         set(&mut found.camera_hidden, "backbone.cam_enc.trunk.0.mlp.fc1.bias", 0);
         set(&mut found.camera_pose_hidden, "backbone.cam_enc.pose_branch.fc1.bias", 0);
         heads(&mut found.fusion_heads, width, "cross_attention.0");
@@ -165,8 +164,7 @@ impl Shapes<'_> {
         set(&mut found.color_hidden, "color_cross_attention.mlp.fc1.bias", 0);
         found.head_hidden = width.saturating_add(found.color_width).saturating_mul(2);
         set(&mut found.head_hidden, "gaussian_head.gaussian_head.0.fc1.bias", 0);
-        let gaussians = wanted.gaussians_per_token.or(conf.gaussians_per_token);
-        (found.gaussians_per_token, found.sh_degree) = self.decoded(gaussians, wanted.sh_degree.or(conf.sh_degree))?;
+        (found.gaussians_per_token, found.sh_degree) = self.decoded(conf.gaussians_per_token, conf.sh_degree)?;
         Ok(())
     }
 

@@ -24,15 +24,16 @@ const VERSION: u32 = 1;
 const Q8_ENDS: [&str; 2] = [".q8", ".q8_scales"];
 const PREFIX: usize = 8;
 const MAX_HEADER: u64 = 100_000_000;
+const EXPECTED: &str = "expected safetensors or a zip archive of torch.save";
 
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let length = file.first_chunk::<PREFIX>().map(|bytes| u64::from_le_bytes(*bytes));
-    let length = length
-        .ok_or_else(|| malformed(format!("found {} bytes, neither safetensors nor a zip archive", file.len())))?;
-    if length > MAX_HEADER || length > (file.len() - PREFIX) as u64 {
-        let size = file.len();
-        return Err(malformed(format!("found a safetensors header of {length} bytes in a file of {size} bytes")));
+    let size = file.len();
+    let length = length.ok_or_else(|| malformed(format!("found {size} bytes, {EXPECTED}")))?;
+    if length > MAX_HEADER || length > (size - PREFIX) as u64 {
+        let found = format!("found a safetensors header of {length} bytes in a file of {size} bytes");
+        return Err(malformed(format!("{found}, {EXPECTED}")));
     }
     let start = PREFIX + length as usize;
     let header: Metadata = serde_json::from_slice(&file[PREFIX..start])

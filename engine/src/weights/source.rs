@@ -1,5 +1,5 @@
 use super::{Dtype, safetensors::too_small, seeded, tensor::Stored};
-use crate::{Error, Result, ops::Q8, types::open_file};
+use crate::{Error, Result, ops::Q8, stages::parameter_count, types::open_file};
 use memmap2::Mmap;
 use std::{borrow::Cow, collections::BTreeMap, ops::Deref, path::Path};
 
@@ -101,8 +101,7 @@ impl Source {
                 tensors.iter().for_each(|tensor| *stored.entry(kind(tensor)).or_default() += tensor.bytes() as u64);
             }
             Self::Seeded { .. } => {
-                let values: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
-                stored.insert(Dtype::F32.name(), (size_of::<f32>() * values) as u64);
+                stored.insert(Dtype::F32.name(), (size_of::<f32>() * parameter_count(parameters)) as u64);
             }
         }
         stored

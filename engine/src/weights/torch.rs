@@ -7,7 +7,7 @@ use std::path::Path;
 
 use zip::{CompressionMethod, ZipArchive};
 
-use super::contents::{Conf, Contents, add, is_image_size};
+use super::contents::{Conf, Contents, add, bare, is_image_size};
 use super::pickle::{Id, Object, Pickle, Tensor};
 use super::tensor::{Stored, StoredDtype};
 use crate::{Error, Result};
@@ -23,6 +23,24 @@ pub(super) fn is_archive(file: &[u8]) -> bool {
 
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
+    let (mut archive, pickle) = open(path, file)?;
+    let (conf, image_size) = conf(&pickle).map_err(|reason| malformed(format!("data.pkl: conf: {reason}")))?;
+    let mut found = Contents { conf, image_size, ..Contents::default() };
+    for (name, tensor) in tensors(&pickle).map_err(|reason| malformed(format!("data.pkl: {reason}")))? {
+        add(&mut found.tensors, name, archive.locate(tensor)).map_err(malformed)?;
+    }
+    Ok(found)
+}
+
+/// Returns the names of the tensors, without reading their values.
+pub(super) fn names(path: &Path, file: &[u8]) -> Result<Vec<String>> {
+    let (_, pickle) = open(path, file)?;
+    let tensors = tensors(&pickle).map_err(|reason| Error::format(path, None, format!("data.pkl: {reason}")))?;
+    Ok(tensors.into_iter().map(|(name, _)| bare(name)).collect())
+}
+
+fn open<'a>(path: &Path, file: &'a [u8]) -> Result<(Archive<'a>, Pickle<'a>)> {
+    let malformed = |reason: String| Error::format(path, None, reason);
     let mut archive = Archive::open(file).map_err(malformed)?;
     let pickle_bytes = archive.entry("data.pkl").map_err(malformed)?;
     if pickle_bytes.len() > MAX_PICKLE {
@@ -33,21 +51,20 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
         let offset = pickle_bytes.start + error.offset;
         Error::format(path, Some(offset as u64), format!("data.pkl: {}", error.reason))
     })?;
+    Ok((archive, pickle))
+}
 
-    let (conf, image_size) = conf(&pickle).map_err(|reason| malformed(format!("data.pkl: conf: {reason}")))?;
-    let mut found = Contents { conf, image_size, ..Contents::default() };
+fn tensors<'a>(pickle: &'a Pickle<'_>) -> Result<Vec<(&'a str, &'a Tensor<'a>)>, String> {
     let holder = MODEL.iter().find_map(|key| pickle.entries(pickle.get(pickle.root, key)?));
     let is_tensor = |&&(_, value): &&(Id, Id)| matches!(pickle.object(value), Object::Tensor(_));
     let bare = || pickle.entries(pickle.root).map(|all| all.iter().filter(is_tensor).collect::<Vec<_>>());
     let model = holder.map(|all| all.iter().collect()).or_else(bare).filter(|model: &Vec<_>| !model.is_empty());
-    let absent = || malformed("data.pkl: found no dictionary `model`, nor tensors in its place".into());
-    for &(key, value) in model.ok_or_else(absent)? {
-        let (Some(name), Object::Tensor(tensor)) = (pickle.text(key), pickle.object(value)) else {
-            return Err(malformed(format!("data.pkl: an entry of `model` is no named tensor: {:?}", pickle.text(key))));
-        };
-        add(&mut found.tensors, name, archive.locate(tensor)).map_err(malformed)?;
-    }
-    Ok(found)
+    let model = model.ok_or("found no dictionary `model`, nor tensors in its place")?;
+    let tensor = |&(key, value): &(Id, Id)| match (pickle.text(key), pickle.object(value)) {
+        (Some(name), Object::Tensor(tensor)) => Ok((name, &**tensor)),
+        (name, _) => Err(format!("an entry of `model` is no named tensor: {name:?}")),
+    };
+    model.into_iter().map(tensor).collect()
 }
 
 /// Optional settings; the reference nests those of backbone and head.
@@ -76,6 +93,7 @@ fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
         rope_start: if without_rope { Some(usize::MAX) } else { size("rope_start")? },
         gaussians_per_token: size("gaussians_per_prototype")?.or(size("gaussians_per_token")?),
         sh_degree: size("sh_degree")?,
+        camera_heads: None,
     };
     let side = entry("img_size").and_then(|id| pickle.size(id)?.try_into().ok()).filter(|side| is_image_size(*side));
     Ok((found, side))

@@ -1,18 +1,13 @@
 use std::ops::RangeInclusive;
 
-use super::Architecture;
+use super::{Architecture, contents::Conf};
 use crate::{Error, Result};
 
 /// `NAME[:FIELD=VALUE]...`, all parts optional.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Variant<'a> {
     pub name: Option<&'a str>,
-    pub out_layers: Option<Vec<usize>>,
-    pub alt_start: Option<usize>,
-    pub rope_start: Option<usize>,
-    pub camera_heads: Option<usize>,
-    pub gaussians_per_token: Option<usize>,
-    pub sh_degree: Option<usize>,
+    pub conf: Conf,
 }
 
 const FIELDS: &str = "out_layers=A,B,.., alt_start, rope_start, camera_heads, gaussians_per_token or sh_degree";
@@ -20,14 +15,15 @@ const FIELDS: &str = "out_layers=A,B,.., alt_start, rope_start, camera_heads, ga
 const NUMBERS: RangeInclusive<usize> = 0..=1 << 16;
 
 impl<'a> Variant<'a> {
-    pub fn parse(text: Option<&'a str>) -> Result<Self> {
-        let mut found = Self::default();
+    /// Parses a variant, whose fields override those of `conf`.
+    pub fn parse(text: Option<&'a str>, mut conf: Conf) -> Result<Self> {
+        let mut name = None;
         for (i, part) in text.into_iter().flat_map(|text| text.split(':')).enumerate() {
             let Some((field, value)) = part.split_once('=') else {
                 if i > 0 {
                     return Err(Error::argument("variant", part, format!("FIELD=VALUE, of {FIELDS}")));
                 }
-                found.name = Some(part);
+                name = Some(part);
                 continue;
             };
             let number = |text: &str| {
@@ -36,24 +32,24 @@ impl<'a> Variant<'a> {
             };
             let place = match field {
                 "out_layers" => {
-                    found.out_layers = Some(value.split(',').map(number).collect::<Result<_>>()?);
+                    conf.out_layers = Some(value.split(',').map(number).collect::<Result<_>>()?);
                     continue;
                 }
-                "alt_start" => &mut found.alt_start,
-                "rope_start" => &mut found.rope_start,
-                "camera_heads" => &mut found.camera_heads,
-                "gaussians_per_token" => &mut found.gaussians_per_token,
-                "sh_degree" => &mut found.sh_degree,
+                "alt_start" => &mut conf.alt_start,
+                "rope_start" => &mut conf.rope_start,
+                "camera_heads" => &mut conf.camera_heads,
+                "gaussians_per_token" => &mut conf.gaussians_per_token,
+                "sh_degree" => &mut conf.sh_degree,
                 _ => return Err(Error::argument("field of the variant", field, FIELDS)),
             };
             *place = Some(number(value)?);
         }
-        Ok(found)
+        Ok(Self { name, conf })
     }
 
     pub fn check(&self, stated: &Architecture, file: &str) -> Result<()> {
-        let Self { name, out_layers, alt_start, rope_start, camera_heads, gaussians_per_token, sh_degree } = self;
-        if let Some(name) = name.filter(|name| *name != stated.name) {
+        let Conf { out_layers, alt_start, rope_start, camera_heads, gaussians_per_token, sh_degree, .. } = &self.conf;
+        if let Some(name) = self.name.filter(|name| *name != stated.name) {
             return Err(Error::argument("variant", name, format!("{}, as {file} says", stated.name)));
         }
         let numbers = [

@@ -304,6 +304,7 @@ fn files_say_which_world_a_scene_is_in() {
             landmarks,
             lens: Some(scenes::camera(640, 480).intrinsics),
             up: Some(DVec3::NEG_Y),
+            turns: 3,
         };
         assert_eq!(saved(Some(&photo)), Some(photo).filter(|_| keeps), "{name}");
         let Some(World { origin: Origin::Cameras(found), .. }) = saved(Some(&Origin::Cameras(pose).into())) else {

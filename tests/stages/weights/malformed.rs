@@ -72,6 +72,9 @@ fn metadata_that_is_unusable() {
 fn neither_format() {
     let (header, _) = header(&pico().parameters());
     assert_reason(&header, "bytes of values");
+    for other in [b"version https://git-lfs.github.com/spec/v1\n".as_slice(), b"<!DOCTYPE html>", b"no"] {
+        assert_reason(other, "expected safetensors or a zip archive of torch.save");
+    }
     assert_reason(b"PK\x03\x04 and no more", "zip archive");
     let folder = tempfile::tempdir().unwrap();
     assert!(matches!(Checkpoint::open(folder.path(), None), Err(Error::Argument { .. })));

@@ -109,8 +109,10 @@ impl CameraArgs {
         };
         let home = match (up, &self.orbit) {
             (Some(up), Some(None)) => level(&home, up),
-            (Some(up), None) => {
-                let upright = upright(Camera { intrinsics: own.unwrap_or(lens), pose: home }, up);
+            (_, None) => {
+                // The first photo may be stored on its side.
+                let turns = world.map_or(0, |world| world.turns);
+                let upright = Camera { intrinsics: own.unwrap_or(lens), pose: home }.turned(turns);
                 own = own.map(|_| upright.intrinsics);
                 upright.pose
             }
@@ -287,13 +289,6 @@ fn level(pose: &Pose, up: DVec3) -> Pose {
     let forward = pose.rotation.z_axis.reject_from_normalized(up);
     let forward = forward.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
     Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), ..*pose }
-}
-
-/// Turns a picture by quarters: a photo may be stored on its side.
-fn upright(camera: Camera, up: DVec3) -> Camera {
-    let height = |camera: &Camera| -camera.pose.rotation.y_axis.dot(up);
-    let turned = (1..4).map(|turns| camera.turned(turns));
-    turned.fold(camera, |best, next| if height(&next) > height(&best) { next } else { best })
 }
 
 fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {

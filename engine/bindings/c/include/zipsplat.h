@@ -922,8 +922,8 @@ typedef struct zs_depth_map {
     const struct zs_camera *image_camera;
 } zs_depth_map;
 
-// Loads Depth Anything 3 or VGGT: a released model.safetensors at `path`, or random weights for
-// "seeded:NAME", such as "seeded:da3-small".
+// Loads Depth Anything 3 or VGGT: a released model.safetensors or model.pt at `path`, or random
+// weights for "seeded:NAME", such as "seeded:da3-small".
 zs_status zs_depth_model_load(const struct zs_device *device,
                               const char *path,
                               const struct zs_depth_model_options *options,

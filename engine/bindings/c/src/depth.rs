@@ -206,9 +206,7 @@ pub unsafe extern "C" fn zs_depth_predict(
         let cameras = match known_cameras {
             Some(known_cameras) => {
                 // Coincident cameras have no scale: depth keeps the network's.
-                depths
-                    .align_to_cameras(&known_cameras)
-                    .or_else(|error| if known_cameras.len() > 1 { Err(error) } else { Ok(()) })?;
+                _ = depths.align_to_cameras(&known_cameras);
                 known_cameras.into_iter().map(Some).collect()
             }
             None if !model.architecture().multi_view() => vec![None; images.len()],

@@ -75,9 +75,14 @@ impl CaptureView {
         Ok(views.iter().enumerate().filter(|(i, _)| view.is_none_or(|view| view == *i)).map(frame).collect())
     }
 
-    /// Returns the photo's [`Image::quarter_turns`]; 0 without a photo or for mirrored ones.
+    /// Returns the photo's [`Image::quarter_turns`]; 0 without a photo, for mirrored ones, and if
+    /// the camera has the sides of the upright photo, as some programs write it.
     pub fn quarter_turns(&self) -> u32 {
-        self.photo.as_ref().and_then(|photo| Image::quarter_turns(photo).ok()).unwrap_or(0)
+        let Some(photo) = &self.photo else { return 0 };
+        let own = self.lens.map_or(self.camera.intrinsics, |lens| lens.intrinsics);
+        let swaps = |(width, height): (u32, u32)| width != height && width.cmp(&height) == own.height.cmp(&own.width);
+        let turns = Image::quarter_turns(photo).unwrap_or(0);
+        if turns % 2 == 1 && Image::size_as_stored(photo).is_ok_and(swaps) { 0 } else { turns }
     }
 
     /// Returns the camera of the upright photo.

@@ -1,4 +1,5 @@
-use crate::{Error, Result, ops::Ffn};
+use super::{MAX_DEPTH, MAX_SIZE, expect, expect_heads, expect_size};
+use crate::{Result, ops::Ffn};
 use serde::{Deserialize, Serialize};
 
 /// Names, special tokens and positions of a backbone.
@@ -62,6 +63,20 @@ pub struct CameraArchitecture {
     pub pose_hidden: usize,
 }
 
+impl CameraArchitecture {
+    pub(super) fn validate(&self, name: &str, prefix: &str, width: usize) -> Result<()> {
+        for (field, found, of, max) in [
+            ("depth", self.depth, 1, MAX_DEPTH),
+            ("heads", self.heads, 1, MAX_SIZE),
+            ("hidden", self.hidden, 8, MAX_SIZE),
+            ("pose_hidden", self.pose_hidden, 8, MAX_SIZE),
+        ] {
+            expect_size(name, &format!("{prefix}{field}"), found, of, max)?;
+        }
+        expect_heads(name, &format!("{prefix}heads"), self.heads, width)
+    }
+}
+
 impl BackboneArchitecture {
     pub fn head_dim(&self) -> usize {
         self.width / self.heads
@@ -80,14 +95,32 @@ impl BackboneArchitecture {
         block >= self.alt_start && (block - first) % 2 == 1
     }
 
+    /// Validates the sizes of the network `name`, with a width that is a multiple of `of`.
+    pub(super) fn validate(&self, name: &str, of: usize) -> Result<()> {
+        // Rows of 16-bit values take whole vectors of 16 bytes.
+        for (field, found, of, max) in [
+            ("width", self.width, of, MAX_SIZE),
+            ("depth", self.depth, 1, MAX_DEPTH),
+            ("heads", self.heads, 1, MAX_SIZE),
+            ("ffn_hidden", self.ffn_hidden, 8, MAX_SIZE),
+            ("patch", self.patch_size, 2, 256),
+            ("position_grid", self.position_grid, 1, 1024),
+        ] {
+            expect_size(name, field, found, of, max)?;
+        }
+        expect_heads(name, "heads", self.heads, self.width)?;
+        self.camera.as_ref().map_or(Ok(()), |camera| camera.validate(name, "camera_", self.width))?;
+        self.validate_pairs(name)
+    }
+
     /// Features of VGGT end a pair of blocks.
-    pub(super) fn validate_pairs(&self, name: &str) -> Result<()> {
+    fn validate_pairs(&self, name: &str) -> Result<()> {
         let whole = self.alt_start < self.depth && self.out_layers.iter().all(|&block| self.is_global(block));
         if self.family.is_da3() || whole && (self.depth - self.alt_start).is_multiple_of(2) {
             return Ok(());
         }
         let found = format!("{:?} of {} from {}", self.out_layers, self.depth, self.alt_start);
-        Err(Error::argument(format!("out_layers of {name}"), found, "blocks that end pairs"))
+        expect(name, false, "out_layers", found, "blocks that end pairs")
     }
 
     /// Whether the reference view depends on the views.

@@ -1,11 +1,8 @@
-use super::{BackboneArchitecture, CameraArchitecture, Family, MAX_DEPTH, MAX_SIZE, vggt_blocks};
-use crate::{
-    Error, Result,
-    gpu::Limits,
-    ops::{Arithmetic, Ffn, ParameterLayout},
-    stages::DepthStages,
-    types::Fitting,
+use super::{
+    BackboneArchitecture, CameraArchitecture, Family, MAX_SIZE, declared, expect, expect_size, parameter_count,
+    vggt_blocks,
 };
+use crate::{Error, Result, ops::Ffn, stages::DepthStages, types::Fitting};
 use serde::{Deserialize, Serialize};
 
 /// Released networks.
@@ -119,57 +116,27 @@ impl DepthArchitecture {
 
     /// As [`Architecture::validate`](super::Architecture::validate).
     pub fn validate(&self) -> Result<()> {
-        let expect = |holds: bool, field: &str, found: String, expected: &str| {
-            if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
-        };
-        let b = &self.backbone;
+        let (name, b) = (&self.name, &self.backbone);
         // 16 camera heads of whole quads.
-        let of = if b.family.is_da3() { 64 } else { 32 };
-        let whole = b.width.is_multiple_of(of) && (of..=MAX_SIZE).contains(&b.width);
-        expect(whole, "width", b.width.to_string(), &format!("a multiple of {of} up to 65536"))?;
-        expect((1..=MAX_DEPTH).contains(&b.depth), "depth", b.depth.to_string(), "1 to 256")?;
-        let heads = b.heads > 0 && b.width.is_multiple_of(b.heads) && b.head_dim().is_multiple_of(4);
-        expect(heads, "heads", b.heads.to_string(), "a divisor of the width into heads of whole quads")?;
-        let is_whole = |size: usize| size.is_multiple_of(8) && (8..=MAX_SIZE).contains(&size);
-        expect(is_whole(b.ffn_hidden), "ffn_hidden", b.ffn_hidden.to_string(), "a multiple of 8 up to 65536")?;
-        expect((1..=1024).contains(&b.position_grid), "position_grid", b.position_grid.to_string(), "1 to 1024")?;
-        expect(
-            b.patch_size.is_multiple_of(2) && (2..=256).contains(&b.patch_size),
-            "patch",
-            b.patch_size.to_string(),
-            "2 to 256, even",
-        )?;
-        expect(
-            b.alt_start > 0,
-            "alt_start",
-            "0".into(),
-            "1 or more: the reference view is chosen by the block before",
-        )?;
+        b.validate(name, if b.family.is_da3() { 64 } else { 32 })?;
+        let expected = "1 or more: the reference view is chosen by the block before";
+        expect(name, b.alt_start > 0, "alt_start", b.alt_start, expected)?;
         let layers = b.out_layers.len() == 4 && b.out_layers.is_sorted() && b.out_layers[3] < b.depth;
-        expect(layers, "out_layers", format!("{:?}", b.out_layers), "four ascending blocks below the depth")?;
-        b.validate_pairs(&self.name)?;
+        let found = format!("{:?}", b.out_layers);
+        expect(name, layers, "out_layers", found, "four ascending blocks below the depth")?;
         let own = self.camera_head.is_some() != b.family.is_da3();
-        expect(own, "camera_head", format!("{:?}", self.camera_head), "one for VGGT alone")?;
-        if let Some(c) = &self.camera_head {
-            let width = self.feature_width();
-            let whole = c.heads > 0 && width.is_multiple_of(4 * c.heads) && (1..=MAX_DEPTH).contains(&c.depth);
-            let hidden = is_whole(c.hidden) && is_whole(c.pose_hidden);
-            expect(whole && hidden, "camera_head", format!("{c:?}"), "multiples of 8, and heads of whole quads")?;
-        }
-        let quads = |size: usize, of: usize| size.is_multiple_of(of) && (of..=MAX_SIZE).contains(&size);
-        let of = if self.gaussians { 32 } else { 8 };
-        expect(quads(self.features, of), "features", self.features.to_string(), &format!("a multiple of {of}"))?;
-        let channels = self.channels.iter().all(|&channels| quads(channels, 4));
-        expect(channels, "channels", format!("{:?}", self.channels), "multiples of 4")
+        expect(name, own, "camera_head", format!("{:?}", self.camera_head), "one for VGGT alone")?;
+        let head = self.camera_head.as_ref();
+        head.map_or(Ok(()), |camera| camera.validate(name, "camera_head.", self.feature_width()))?;
+        expect_size(name, "features", self.features, if self.gaussians { 32 } else { 8 }, MAX_SIZE)?;
+        self.channels.iter().try_for_each(|&channels| expect_size(name, "channels", channels, 4, MAX_SIZE))
     }
 
     pub fn parameter_count(&self) -> usize {
-        self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
+        parameter_count(&self.parameters())
     }
 
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
-        let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
-        DepthStages::new(&mut declared, self);
-        declared.names_and_shapes()
+        declared(|p| DepthStages::new(p, self))
     }
 }

@@ -164,24 +164,11 @@ impl Architecture {
         11 + 3 * (self.sh_degree + 1).pow(2)
     }
 
-    pub fn parameter_count(&self) -> usize {
-        self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
-    }
-
     /// Validates the sizes; [`Error::Argument`] names the invalid field.
     pub fn validate(&self) -> Result<()> {
-        // Rows of 16-bit values take whole vectors of 16 bytes.
-        let sizes = [
-            ("width", self.width, 8, MAX_SIZE),
-            ("depth", self.depth, 1, MAX_DEPTH),
-            ("heads", self.heads, 1, MAX_SIZE),
-            ("ffn_hidden", self.ffn_hidden, 8, MAX_SIZE),
-            ("patch", self.patch_size, 2, 256),
-            ("position_grid", self.position_grid, 1, 1024),
-            ("camera_depth", self.camera_depth, 1, MAX_DEPTH),
-            ("camera_heads", self.camera_heads, 1, MAX_SIZE),
-            ("camera_hidden", self.camera_hidden, 8, MAX_SIZE),
-            ("camera_pose_hidden", self.camera_pose_hidden, 8, MAX_SIZE),
+        let name = &self.name;
+        self.backbone().validate(name, 8)?;
+        for (field, found, of, max) in [
             ("fusion_heads", self.fusion_heads, 1, MAX_SIZE),
             ("fusion_hidden", self.fusion_hidden, 8, MAX_SIZE),
             ("color_width", self.color_width, 8, MAX_SIZE),
@@ -189,39 +176,50 @@ impl Architecture {
             ("color_hidden", self.color_hidden, 8, MAX_SIZE),
             ("head_hidden", self.head_hidden, 8, MAX_SIZE),
             ("gaussians_per_token", self.gaussians_per_token, 1, 1024),
-        ];
-        let used = |field: &str| self.takes_cameras() || !field.starts_with("camera_");
-        for (field, found, of, max) in sizes.into_iter().filter(|(field, ..)| used(field)) {
-            let fits = (1..=max).contains(&found) && found.is_multiple_of(of);
-            let expected = if of == 1 { format!("1 to {max}") } else { format!("a multiple of {of} up to {max}") };
-            self.expect(fits, field, found, expected)?;
+        ] {
+            expect_size(name, field, found, of, max)?;
         }
-        let heads = [
-            ("heads", self.heads, self.width),
-            ("camera_heads", self.camera_heads, self.width),
-            ("fusion_heads", self.fusion_heads, self.width),
-            ("color_heads", self.color_heads, self.color_width),
-        ];
-        for (field, found, width) in heads.into_iter().filter(|(field, ..)| used(field)) {
-            let fits = width.is_multiple_of(found) && (width / found).is_multiple_of(4);
-            self.expect(fits, field, found, format!("a divisor of the width {width} into heads of whole quads"))?;
-        }
-        self.expect(self.alt_start < self.depth, "alt_start", self.alt_start, format!("below {}", self.depth))?;
-        self.expect(self.sh_degree <= MAX_SH_DEGREE, "sh_degree", self.sh_degree, format!("0 to {MAX_SH_DEGREE}"))?;
-        self.backbone().validate_pairs(&self.name)?;
+        expect_heads(name, "fusion_heads", self.fusion_heads, self.width)?;
+        expect_heads(name, "color_heads", self.color_heads, self.color_width)?;
+        expect(name, self.alt_start < self.depth, "alt_start", self.alt_start, format!("below {}", self.depth))?;
+        expect(name, self.sh_degree <= MAX_SH_DEGREE, "sh_degree", self.sh_degree, format!("0 to {MAX_SH_DEGREE}"))?;
         let ascending = self.out_layers.is_sorted_by(|a, b| a < b);
         let inside = self.out_layers.last().is_some_and(|&last| last < self.depth);
         let found = format!("{:?}", self.out_layers);
-        self.expect(ascending && inside, "out_layers", found, format!("ascending blocks below {}", self.depth))
+        expect(name, ascending && inside, "out_layers", found, format!("ascending blocks below {}", self.depth))
     }
 
-    fn expect(&self, holds: bool, field: &str, found: impl ToString, expected: impl Into<String>) -> Result<()> {
-        if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
+    pub fn parameter_count(&self) -> usize {
+        parameter_count(&self.parameters())
     }
 
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
-        let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
-        Stages::new(&mut declared, self);
-        declared.names_and_shapes()
+        declared(|p| Stages::new(p, self))
     }
+}
+
+/// Number of values in all parameters.
+pub(crate) fn parameter_count(parameters: &[(String, Vec<usize>)]) -> usize {
+    parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
+}
+
+fn declared<S>(stages: impl FnOnce(&mut ParameterLayout) -> S) -> Vec<(String, Vec<usize>)> {
+    let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
+    stages(&mut declared);
+    declared.names_and_shapes()
+}
+
+/// Rejects a field of the network `name`.
+fn expect(name: &str, holds: bool, field: &str, found: impl ToString, expected: impl Into<String>) -> Result<()> {
+    if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {name}"), found, expected)) }
+}
+
+fn expect_size(name: &str, field: &str, found: usize, of: usize, max: usize) -> Result<()> {
+    let expected = if of == 1 { format!("1 to {max}") } else { format!("a multiple of {of} up to {max}") };
+    expect(name, (1..=max).contains(&found) && found.is_multiple_of(of), field, found, expected)
+}
+
+fn expect_heads(name: &str, field: &str, found: usize, width: usize) -> Result<()> {
+    let fits = width.is_multiple_of(found) && (width / found).is_multiple_of(4);
+    expect(name, fits, field, found, format!("a divisor of the width {width} into heads of whole quads"))
 }

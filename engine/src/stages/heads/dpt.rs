@@ -8,14 +8,23 @@ use super::{
 };
 use crate::{
     gpu::{Recorder, Tensor},
-    ops::{ParameterLayout, Rows},
+    ops::{FeatureMap, ParameterLayout, Rows, add},
     stages::{DepthArchitecture, Family, ViewGrid},
 };
+
+/// Pixel offset 2, scale 3, quaternion 4, SH 27, depth offset, opacity.
+pub const GAUSSIAN_VALUES: usize = 38;
+/// Place of the depth offset, in units of depth.
+pub const DEPTH_OFFSET: usize = 36;
+
+pub(super) const PICTURE: usize = 4;
 
 pub(super) struct Dpt {
     levels: Levels,
     fusion: Fusion,
     neck: Convolution,
+    /// Adds features of the picture.
+    merger: Option<[Convolution; 3]>,
     depth: Tail,
     rays: Option<RayHead>,
     sky: Option<Tail>,
@@ -35,53 +44,59 @@ pub struct ViewTensors {
 
 impl Dpt {
     pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
-        match a.backbone.family {
-            Family::Da3 => Self::of_da3(p, a),
-            Family::Vggt => Self::of_vggt(p, a, ["depth_head", "depth"], 2),
+        if a.backbone.family == Family::Vggt {
+            return Self::of(p, a, ["depth_head", "depth"], [true; 3], 2);
         }
+        let (root, f, multi) = ("model.head", a.features, a.multi_view());
+        let head = Self::of(p, a, [root, "head"], [multi, multi, false], if multi { 2 } else { 1 });
+        let rays = multi.then(|| RayHead::new(p, root, f));
+        let sky = (!multi).then(|| Tail::new(p, &format!("{root}.scratch.sky_output_conv2"), f / 2, 1));
+        Self { rays, sky, ..head }
     }
 
     pub fn points(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
-        Self::of_vggt(p, a, ["point_head", "point"], 4)
+        Self::of(p, a, ["point_head", "point"], [true; 3], 4)
     }
 
-    fn of_vggt(p: &mut ParameterLayout, a: &DepthArchitecture, [root, tap]: [&'static str; 2], outputs: usize) -> Self {
+    /// Returns the Gaussian head, whose `depth` has [`GAUSSIAN_VALUES`].
+    pub fn gaussians(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
+        let (root, f) = ("model.gs_head", a.features);
+        let head = Self::of(p, a, [root, "gs"], [false, true, false], GAUSSIAN_VALUES);
+        let layers = [(0, [3, f / 8]), (2, [f / 8, f / 4]), (4, [f / 4, f / 2])];
+        let layer = |(i, channels)| Convolution::new(p, &format!("{root}.images_merger.{i}"), channels, 3);
+        Self { merger: Some(layers.map(layer)), ..head }
+    }
+
+    fn of(
+        p: &mut ParameterLayout,
+        a: &DepthArchitecture,
+        [root, tap]: [&'static str; 2],
+        [normed, placed, rectified]: [bool; 3],
+        outputs: usize,
+    ) -> Self {
         let f = a.features;
         let name = |part: &str| format!("{root}.scratch.{part}");
         Self {
-            levels: Levels::new(p, a, root, true, true),
-            fusion: Fusion::new(p, root, "", f, true),
+            levels: Levels::new(p, a, root, normed, placed),
+            fusion: Fusion::new(p, root, "", f, rectified),
             neck: Convolution::new(p, &name("output_conv1"), [f, f / 2], 3),
+            merger: None,
             depth: Tail::new(p, &name("output_conv2"), f / 2, outputs),
             rays: None,
             sky: None,
-            placed: true,
+            placed,
             tap,
         }
     }
 
-    fn of_da3(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
-        let (root, f, multi) = ("model.head", a.features, a.multi_view());
-        let name = |part: &str| format!("{root}.scratch.{part}");
-        let tail = |p: &mut ParameterLayout, part: &str, outputs| Tail::new(p, &name(part), f / 2, outputs);
-        Self {
-            levels: Levels::new(p, a, root, multi, multi),
-            fusion: Fusion::new(p, root, "", f, false),
-            neck: Convolution::new(p, &name("output_conv1"), [f, f / 2], 3),
-            depth: tail(p, "output_conv2", if multi { 2 } else { 1 }),
-            rays: multi.then(|| RayHead::new(p, root, f)),
-            sky: (!multi).then(|| tail(p, "sky_output_conv2", 1)),
-            placed: multi,
-            tap: "head",
-        }
-    }
-
+    /// `picture` is the Gaussian head's input `[height, width, PICTURE]`.
     pub fn record(
         &self,
         rec: &mut Recorder,
         features: &[Rows],
         grid: ViewGrid,
         positions: &mut Positions,
+        picture: Option<Tensor>,
     ) -> ViewTensors {
         let tap = self.tap;
         let size = [grid.rows, grid.columns];
@@ -91,7 +106,18 @@ impl Dpt {
             let neck = self.neck.record(rec, "neck", fused, ConvolutionOptions::default());
             rec.observe(&format!("{tap}/neck"), neck.rows.tensor);
             let full = size.map(|count| count * grid.patch_size);
-            let up = neck.resized(rec, "up", full, self.placed.then_some(&mut *positions));
+            let up = match self.merger.as_ref().zip(picture) {
+                Some((merger, picture)) => {
+                    let picture = FeatureMap::new(Rows::new(picture, full[0] * full[1], PICTURE), full);
+                    let gelu = ConvolutionOptions { gelu: true, ..ConvolutionOptions::default() };
+                    let merged = merger.iter().fold(picture, |map, layer| layer.record(rec, "merged", map, gelu));
+                    rec.observe(&format!("{tap}/merger"), merged.rows.tensor);
+                    let up = neck.resized(rec, "up", full, None);
+                    add(rec, up.rows, merged.rows);
+                    up.resized(rec, "placed", full, Some(&mut *positions))
+                }
+                None => neck.resized(rec, "up", full, self.placed.then_some(&mut *positions)),
+            };
             rec.observe(&format!("{tap}/up"), up.rows.tensor);
             let depth = self.depth.record(rec, &format!("{tap}/logits"), up);
             let sky = self.sky.as_ref().map(|tail| tail.record(rec, "head/logits_sky", up));

@@ -6,7 +6,6 @@ mod camera;
 mod convolution;
 mod dpt;
 mod fusion;
-mod gaussians;
 mod levels;
 mod map;
 mod pose;
@@ -16,8 +15,7 @@ mod tail;
 
 pub use camera::CameraTensors;
 pub use convolution::{Convolution, ConvolutionOptions};
-pub use dpt::ViewTensors;
-pub use gaussians::{GAUSSIAN_VALUES, GaussianTensors};
+pub use dpt::{DEPTH_OFFSET, GAUSSIAN_VALUES, ViewTensors};
 pub use position::position_table;
 
 use super::{DepthArchitecture, DepthFeatures, POSE_VALUES, ViewGrid};
@@ -27,8 +25,7 @@ use crate::{
     ops::{ParameterLayout, Parameters},
 };
 use camera::CameraDecoder;
-use dpt::Dpt;
-use gaussians::GaussianHead;
+use dpt::{Dpt, PICTURE};
 use pose::PoseHead;
 use position::Positions;
 
@@ -37,7 +34,7 @@ pub struct DepthHeads {
     points: Option<Dpt>,
     camera: Option<CameraDecoder>,
     pose: Option<PoseHead>,
-    gaussians: Option<GaussianHead>,
+    gaussians: Option<Dpt>,
 }
 
 pub struct HeadTensors {
@@ -51,6 +48,14 @@ pub struct HeadTensors {
     positions: Positions,
 }
 
+#[derive(Clone, Copy, Debug)]
+pub struct GaussianTensors {
+    /// `[height, width, 4]` f32: the normalized image.
+    pub picture: Tensor,
+    /// `[height, width, GAUSSIAN_VALUES]`.
+    pub values: Tensor,
+}
+
 impl DepthHeads {
     pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
         Self {
@@ -58,7 +63,7 @@ impl DepthHeads {
             points: a.points.then(|| Dpt::points(p, a)),
             camera: (a.multi_view() && a.camera_head.is_none()).then(|| CameraDecoder::new(p, a.feature_width())),
             pose: a.camera_head.as_ref().map(|head| PoseHead::new(p, head, a.feature_width())),
-            gaussians: a.gaussians.then(|| GaussianHead::new(p, a)),
+            gaussians: a.gaussians.then(|| Dpt::gaussians(p, a)),
         }
     }
 
@@ -74,12 +79,16 @@ impl DepthHeads {
         let (mut views, mut points, mut gaussians) = (Vec::new(), Vec::new(), Vec::new());
         for first in (0..grid.views).map(|view| view * patches) {
             let layers: Vec<_> = features.layers.iter().map(|layer| layer.part(first..first + patches)).collect();
-            views.push(self.dpt.record(rec, &layers, grid, &mut positions));
+            views.push(self.dpt.record(rec, &layers, grid, &mut positions, None));
             if let Some(head) = &self.points {
-                points.push(rec.scope("points", |rec| head.record(rec, &layers, grid, &mut positions).depth));
+                points.push(rec.scope("points", |rec| head.record(rec, &layers, grid, &mut positions, None).depth));
             }
             if let Some(head) = &self.gaussians {
-                gaussians.push(rec.scope("gaussians", |rec| head.record(rec, &layers, grid, &mut positions)));
+                gaussians.push(rec.scope("gaussians", |rec| {
+                    let picture = rec.input::<f32>("picture", PICTURE * grid.values() / (3 * grid.views));
+                    let values = head.record(rec, &layers, grid, &mut positions, Some(picture)).depth;
+                    GaussianTensors { picture, values }
+                }));
             }
         }
         HeadTensors { views, points, gaussians, cameras, positions }

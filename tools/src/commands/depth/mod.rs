@@ -50,8 +50,8 @@ pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
     /// Weights of Depth Anything 3 or VGGT: a name (da3-small, da3-base, da3-large, da3-giant,
-    /// da3mono-large, da3metric-large, vggt-1b), a released model.safetensors, or seeded:NAME for
-    /// random numbers
+    /// da3mono-large, da3metric-large, vggt-1b), a released model.safetensors or model.pt, or
+    /// seeded:NAME for random numbers
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Folder to write to

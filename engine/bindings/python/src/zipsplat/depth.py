@@ -121,7 +121,7 @@ class DepthModel(Owner):
 
         Args:
             weights: A name of list_models, such as "da3-small"; path of a released
-                model.safetensors; or "seeded:NAME" for random weights.
+                model.safetensors or model.pt; or "seeded:NAME" for random weights.
             precision: "auto", "fp32", "fp16", "bf16" or "int8".
             device: The device, as for Device; None for the best.
             progress: Called with the Progress. Returning False raises CancelledError; its
