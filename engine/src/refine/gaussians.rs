@@ -270,6 +270,17 @@ impl Gaussians {
         })
     }
 
+    /// Allocates the memory of a step with one photo, whose exposure is learned if `exposed`.
+    pub fn reserve(&mut self, view: &View, exposed: bool) -> Result<()> {
+        let learned = std::mem::replace(&mut self.learns_exposures, self.learns_exposures || exposed);
+        let planned = self.plan(&[view], true).map(drop);
+        if self.learns_exposures != learned {
+            self.learns_exposures = learned;
+            self.plans.clear();
+        }
+        planned
+    }
+
     pub fn scene(&self) -> Result<Scene> {
         let antialiased = self.drawing.antialiased.unwrap_or(false);
         Ok(Scene { antialiased, ..self.scene.read(&self.memories[0])? })

@@ -209,6 +209,9 @@ impl<'a> Refinement<'a> {
             self.evaluate(0)?;
         }
         self.photos.fill(&self.training)?;
+        if first < steps {
+            self.reserve()?;
+        }
         let mut step = first;
         while step < steps {
             self.resize(step);
@@ -227,8 +230,11 @@ impl<'a> Refinement<'a> {
             let weights =
                 [self.fraction * self.schedule.rate(step), self.depth_weight * self.schedule.depth_weight(step)];
             let found = match self.gaussians.step(&views.iter().collect::<Vec<_>>(), weights) {
-                // The Gaussians are those before the step.
-                Err(error @ Error::Memory { .. }) if step > 0 => return self.interrupt(error, step, saving, begin),
+                // The Gaussians are those before the step, which may be taken later.
+                Err(error @ Error::Memory { .. }) if step > 0 => {
+                    views.iter().rev().for_each(|view| self.upcoming.push_front(view.photo));
+                    return self.interrupt(error, step, saving, begin);
+                }
                 found => found?,
             };
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;

@@ -4,7 +4,7 @@ use super::{Kept, Refinement};
 use crate::{
     Error, Result,
     gpu::Profile,
-    refine::views::View,
+    refine::{Exposure, views::View},
     types::{ColorTransform, Image},
 };
 
@@ -50,6 +50,15 @@ impl Refinement<'_> {
         let begin = Instant::now();
         self.gaussians.step(&views, [0.0; 2])?;
         Ok(begin.elapsed())
+    }
+
+    /// Allocates the memory of a step with the largest photo: steps at full size come last.
+    pub(super) fn reserve(&mut self) -> Result<()> {
+        let pixels = |i: &&usize| self.photos.size(**i, 1).into_iter().map(u64::from).product::<u64>();
+        let Some(largest) = self.training.iter().max_by_key(pixels).copied() else { return Ok(()) };
+        let views = self.photos.views(self.cameras.all(), &[largest], &[], 1)?;
+        let exposed = self.options.exposure == Exposure::On && self.first_exposed < self.schedule.steps;
+        self.gaussians.reserve(&views[0], exposed)
     }
 
     fn first_views(&mut self) -> Result<Vec<View>> {
