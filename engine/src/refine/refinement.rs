@@ -11,7 +11,7 @@ use super::{
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
-    pace::Pace,
+    pace::{Pace, Snapshots},
     photos::PhotoCache,
     planned::PhotoLoss,
     schedule::{Schedule, rate_of_error},
@@ -212,6 +212,7 @@ impl<'a> Refinement<'a> {
         if first < steps {
             self.reserve()?;
         }
+        let mut snapshots = Snapshots::new(self.options.snapshots, first, steps);
         let mut step = first;
         while step < steps {
             self.resize(step);
@@ -267,8 +268,7 @@ impl<'a> Refinement<'a> {
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
-            let snapshots = |done: usize| done * self.options.snapshots / steps;
-            let scene = (snapshots(done) > snapshots(step)).then(|| self.scene()).transpose()?;
+            let scene = snapshots.is_due(done, steps).then(|| self.scene()).transpose()?;
             let now = RefineProgress { step: done, steps, loss, psnr, eta, scene: scene.as_ref() };
             let cancelled = progress(now).is_break();
             if let Some(saving) = saving.as_mut().filter(|saving| cancelled || saving.is_due())
