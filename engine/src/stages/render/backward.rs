@@ -53,8 +53,7 @@ impl SplatGradients {
 /// backward pass. Exceeded capacity accumulates nothing.
 ///
 /// # Panics
-/// If `options` has outputs without gradients: normals, token colors, a pixel layout, expected
-/// depth without alpha.
+/// If `options` has outputs without gradients: normals, token colors, expected depth without alpha.
 #[expect(clippy::too_many_arguments)]
 pub fn record_with_gradients(
     rec: &mut Recorder,
@@ -67,7 +66,6 @@ pub fn record_with_gradients(
     gradients: &Gradients,
 ) -> (RenderOutputs, SplatGradients) {
     assert!(!options.normals && options.token_group.is_none(), "normals and token colors have no gradient");
-    assert!(options.layout.is_none(), "pixels of another layout have no gradient");
     assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
     let (splats, lists, frames) = rec.scope("render", |rec| {
         let (splats, lists, frames) = draw(rec, scene, cameras, shape, options, capacity);
@@ -81,8 +79,7 @@ pub fn record_with_gradients(
         let slots = backward.rasterize(rec, frames, d_frames);
         backward.splats(rec, &slots, gradients)
     });
-    let outputs = RenderOutputs { frames, pixels: frames, status: lists.status };
-    (outputs, SplatGradients { conics: splats.conics, d_pairs })
+    (RenderOutputs { frames, status: lists.status }, SplatGradients { conics: splats.conics, d_pairs })
 }
 
 struct Backward<'a> {

@@ -135,24 +135,21 @@ impl Differentiator {
         let shape = FrameShape { cameras: 1, width, height };
         let key = PlanKey { shape, backward: true, options: (*options, wanted) };
         let memory = self.memory.as_ref().expect("loaded before");
+        let record = |capacity| GradientPlan::new(&self.arena, memory, shape, key.options, capacity);
         // Plans that overflow accumulate nothing.
-        loop {
-            let plan =
-                self.plans.get(key, |capacity| GradientPlan::new(&self.arena, memory, shape, key.options, capacity))?;
+        let plan = self.plans.run(key, record, |plan| {
             plan.run.write(plan.cameras, &[camera_rows(camera)])?;
             plan.run.write(plan.d_frames, weights)?;
             plan.run.execute()?;
-            let needed = plan.outputs.needed(&plan.run)?;
-            if let Some(plan) = self.plans.fitting(needed)? {
-                if let Some(d_cameras) = plan.d_cameras {
-                    found.cameras.extend(plan.run.read::<[f32; CAMERA_NUMBERS]>(d_cameras)?);
-                }
-                if let Some(SplatGradients { conics, d_pairs }) = plan.d_splats {
-                    found.means2d.extend(SplatGradients::means2d(&plan.run.read(conics)?, &plan.run.read(d_pairs)?));
-                }
-                return Ok(());
-            }
+            plan.outputs.needed(&plan.run)
+        })?;
+        if let Some(d_cameras) = plan.d_cameras {
+            found.cameras.extend(plan.run.read::<[f32; CAMERA_NUMBERS]>(d_cameras)?);
         }
+        if let Some(SplatGradients { conics, d_pairs }) = plan.d_splats {
+            found.means2d.extend(SplatGradients::means2d(&plan.run.read(conics)?, &plan.run.read(d_pairs)?));
+        }
+        Ok(())
     }
 }
 
