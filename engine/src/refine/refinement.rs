@@ -108,7 +108,7 @@ impl<'a> Refinement<'a> {
         Ok(Self {
             photos,
             cameras: Cameras::new(cameras, moving, rates),
-            schedule: Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine },
+            schedule: Schedule { steps, coarse: options.coarse_to_fine },
             order: Order::new(training.len(), options.seed),
             options,
             pace: None,

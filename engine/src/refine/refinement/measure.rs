@@ -52,11 +52,12 @@ impl Refinement<'_> {
         Ok(begin.elapsed())
     }
 
-    /// Allocates the memory of a step with the largest photo: steps at full size come last.
+    /// Allocates the memory of the last step with the largest photo: earlier steps need less.
     pub(super) fn reserve(&mut self) -> Result<()> {
-        let pixels = |i: &&usize| self.photos.size(**i, 1).into_iter().map(u64::from).product::<u64>();
+        let factor = self.schedule.factor(self.schedule.steps - 1, self.shortest());
+        let pixels = |i: &&usize| self.photos.size(**i, factor).into_iter().map(u64::from).product::<u64>();
         let Some(largest) = self.training.iter().max_by_key(pixels).copied() else { return Ok(()) };
-        let views = self.photos.views(self.cameras.all(), &[largest], &[], 1)?;
+        let views = self.photos.views(self.cameras.all(), &[largest], &[], factor)?;
         let exposed = self.options.exposure == Exposure::On && self.first_exposed < self.schedule.steps;
         self.gaussians.reserve(&views[0], exposed)
     }

@@ -2,8 +2,7 @@
 //! in order, without atomics.
 
 use super::{
-    Depth, FrameShape, RenderOptions, RenderOutputs, SceneGradients, SceneTensors, draw, intersect::TileLists,
-    project::Splats,
+    Depth, FrameShape, RenderOptions, RenderOutputs, SceneTensors, draw, intersect::TileLists, project::Splats,
 };
 use crate::{
     gpu::{Recorder, Tensor},
@@ -17,7 +16,7 @@ use crate::{
 /// Tensors to accumulate gradients in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gradients {
-    pub scene: Option<SceneGradients>,
+    pub scene: Option<SceneTensors>,
     /// `[cameras, 10]` f32: w x, y, z, v x, y, z for the update pose o (exp(w^), v) of
     /// camera-to-world; fx, fy, cx, cy.
     pub cameras: Option<Tensor>,

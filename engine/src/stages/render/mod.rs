@@ -26,7 +26,7 @@ use crate::{
 use intersect::TileLists;
 use project::Splats;
 
-pub use super::{FrameShape, SceneGradients, SceneTensors};
+pub use super::{FrameShape, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, SplatGradients, record_with_gradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
 pub(crate) use features::{FeatureRows, VECTOR, VECTORS_AT_ONCE, record_lift, record_pictures};
