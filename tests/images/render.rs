@@ -14,7 +14,6 @@ pub const ALL: RenderOptions = RenderOptions {
     background: [0.0; 3],
     antialiased: Some(false),
     near: None,
-    layout: None,
 };
 
 pub fn render(scene: &Scene, cameras: &[Camera], request: &RenderOptions) -> Vec<RenderOutput> {
@@ -115,6 +114,8 @@ fn an_overflow_is_drawn_again() {
     let enough = bits(&render(&scene, &cameras, &ALL));
     let mut tiny = Renderer::with_capacity(device(), 1);
     assert_eq!(bits(&tiny.render_scene(&scene, &cameras, &ALL).unwrap()), enough);
+    let needed = tiny.intersections();
+    assert!(needed < 1 << 16 && tiny.capacity() == needed + needed / 4, "{} for {needed}", tiny.capacity());
     assert_eq!(bits(&tiny.render(&cameras, &ALL).unwrap()), enough, "the second time");
 }
 
@@ -178,6 +179,9 @@ fn pictures_in_flight_are_as_each_alone() {
                 renderer.render_each(&cameras, &ALL, gather).unwrap();
                 assert!(got == expected, "capacity {capacity}, {batch_size} together");
             }
+            let (grown, default) = (renderer.capacity(), 1 << 16);
+            assert!(if capacity == 1 { (2..default).contains(&grown) } else { grown == default }, "{grown}");
+            assert!((2..default).contains(&renderer.intersections()), "{}", renderer.intersections());
         }
     }
 }

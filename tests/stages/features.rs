@@ -202,3 +202,29 @@ fn many_channels_take_the_planned_memory() {
         assert!(count > 100, "{count}");
     }
 }
+
+fn open(max_binding_bytes: u64) -> Device {
+    let options = DeviceOptions { max_binding_bytes: Some(max_binding_bytes), ..DeviceOptions::default() };
+    Device::open(&options).unwrap()
+}
+
+#[test]
+fn lifting_takes_the_planned_memory_in_small_bindings() {
+    let scene = random_scene(400, 0, 0.05);
+    // Cells and intersections beyond a binding, then a pixel's channels.
+    for (max_binding_bytes, side, cells, channels, parts) in [(200 << 10, 60, 480, 1, 1), (4 << 20, 320, 320, 12, 3)] {
+        let (device, camera) = (open(max_binding_bytes), camera(side, side));
+        let values = random(5, (cells * cells) as usize * channels);
+        let picture = PixelValues { width: cells, height: cells, channels, values };
+        let plan = LiftMemory::of(device.limits(), &scene, &[camera], 1, channels, [cells; 2]).unwrap();
+        let before = device.allocated_bytes();
+        let mut renderer = FeatureRenderer::new(&device);
+        let found = renderer.lift(&scene, &[camera], 1, channels, |_| Ok(picture.clone())).unwrap();
+        assert_eq!((plan.parts, plan.total()), (parts, device.allocated_bytes() - before), "{plan:?}");
+        let at = |pixel: u32| picture.values[cell(pixel, &camera, [cells; 2]) * channels..][..channels].to_vec();
+        let values = (0..side * side).flat_map(at).collect();
+        let of_pixels = PixelValues { width: side, height: side, channels, values };
+        assert!(found.weights.iter().any(|weight| *weight > 0.0));
+        assert_eq!(found, lift(&scene, &[camera], 1, &[of_pixels]));
+    }
+}

@@ -3,9 +3,7 @@
 use std::sync::Arc;
 use zipsplat::refine::{Adam, Space, record_adam};
 use zipsplat::stages::loss::{Loss, LossTensors, record_loss};
-use zipsplat::stages::render::{
-    CameraRows, FrameShape, Gradients, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
-};
+use zipsplat::stages::render::{CameraRows, FrameShape, Gradients, SceneTensors, camera_rows, record_with_gradients};
 use zipsplat::{gpu::Resident, ops::ParameterLayout, ops::place_columns, stages::gaussians::Head};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{
@@ -58,8 +56,7 @@ fn through_the_head() {
             let scene = SceneTensors::output(&mut rec, count, 1);
             let kept = head.record(&mut rec, Rows::new(tokens, shape[0], shape[1]), unit, &scene);
             let d = [0, 1, 2, 3, 4].map(|i| rec.input::<f32>("d", count * (ends[i + 1] - ends[i])));
-            let [means, scales, quats, opacities, sh_coeffs] = d;
-            let d_gaussians = SceneGradients { means, scales, quats, opacities, sh_coeffs };
+            let d_gaussians = SceneTensors::of(d, count, 1);
             head.record_backward(&mut rec, &kept, &d_gaussians);
             let mut run = Run::with_resident(device(), rec.finish().unwrap(), Some(resident.clone())).unwrap();
             run.write(tokens, &golden.f32("tokens")).unwrap();
@@ -101,8 +98,7 @@ fn through_a_head_of_odd_width() {
     let kept = head.record(&mut rec, Rows::new(input, count, width), unit, &scene);
     let widths = [3, 3, 4, 1, 12];
     let d = widths.map(|width| rec.input::<f32>("d", 2 * count * width));
-    let [means, scales, quats, opacities, sh_coeffs] = d;
-    let d_gaussians = SceneGradients { means, scales, quats, opacities, sh_coeffs };
+    let d_gaussians = SceneTensors::of(d, 2 * count, 1);
     let d_tokens = head.record_backward(&mut rec, &kept, &d_gaussians);
     rec.output(d_tokens);
     let mut run = Run::with_resident(device(), rec.finish().unwrap(), Some(resident)).unwrap();
@@ -160,8 +156,7 @@ fn record_gradient(
     let kept = head.record(rec, inputs.tokens, inputs.unit, &scene);
     let d = [3, 3, 4, 1, 12].map(|width| rec.tensor::<f32>("d_gaussians", gaussians * width));
     d.iter().for_each(|tensor| rec.fill(*tensor, 0));
-    let [means, scales, quats, opacities, sh_coeffs] = d;
-    let d_gaussians = SceneGradients { means, scales, quats, opacities, sh_coeffs };
+    let d_gaussians = SceneTensors::of(d, gaussians, 1);
     let gradients = Gradients { scene: Some(d_gaussians), cameras: None };
     let mut losses = None;
     let compared = |rec: &mut Recorder, frames: Tensor| {

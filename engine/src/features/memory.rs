@@ -1,13 +1,14 @@
 use super::{
+    lifted_cells,
     plan::{Job, PartTensors, PlanTensors, job, vectors_at_once},
     rows,
 };
 use crate::{
-    Result,
+    Error, Result,
     gpu::{Limits, Recorder, ResidentLayout},
     stages::{
         FrameShape,
-        render::{SceneTensors, VECTOR, first_capacity, used_degree},
+        render::{SceneTensors, VECTOR, first_capacity, planned_capacity, used_degree},
     },
     types::{Camera, Scene},
 };
@@ -39,27 +40,33 @@ impl LiftMemory {
         channels: usize,
         cells: [u32; 2],
     ) -> Result<Self> {
-        let (rows, capacity) = (rows(scene, group)?, first_capacity(scene.len()));
+        let (rows, first_capacity) = (rows(scene, group)?.count, first_capacity(scene.len()));
         let mut scene_layout = ResidentLayout::new(limits);
         let tensors = SceneTensors::lay_out(&mut scene_layout, scene.len(), used_degree(scene));
-        let all = channels.div_ceil(VECTOR);
-        let vectors = all.min(vectors_at_once(limits, rows.count + capacity)).max(1);
-        let mut layout = ResidentLayout::new(limits);
-        let part = PartTensors::lay_out(&mut layout, rows.count, &[vectors]);
-        let arena = |camera: &Camera| {
-            let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
-            let mut rec = Recorder::new(limits);
-            let job = Job { vectors, cells: Some(cells), ..job(scene, group) };
-            PlanTensors::record(&mut rec, &tensors, shape, job, &part, capacity);
-            Ok(rec.finish()?.arena_bytes())
+        let of = |vectors: usize| {
+            let mut layout = ResidentLayout::new(limits);
+            let part = PartTensors::lay_out(&mut layout, rows, &[vectors]);
+            let arena = |camera: &Camera| {
+                let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
+                let mut rec = Recorder::new(limits);
+                let job = Job { vectors, cells: Some(lifted_cells(cells, camera)), ..job(scene, group) };
+                let capacity = planned_capacity(limits.max_binding_bytes, first_capacity, shape, true);
+                PlanTensors::record(&mut rec, &tensors, shape, job, &part, capacity);
+                Ok(rec.finish()?.arena_bytes())
+            };
+            let arenas = cameras.iter().map(arena).collect::<Result<Vec<u64>>>()?;
+            let arena = arenas.into_iter().max().unwrap_or_default();
+            Ok(Self { scene: scene_layout.bytes(), features: layout.bytes(), arena, parts: 0 })
         };
-        let arenas = cameras.iter().map(arena).collect::<Result<Vec<u64>>>()?;
-        Ok(Self {
-            scene: scene_layout.bytes(),
-            features: layout.bytes(),
-            arena: arenas.into_iter().max().unwrap_or_default(),
-            parts: all.div_ceil(vectors),
-        })
+        let all = channels.div_ceil(VECTOR);
+        let mut vectors = all.min(vectors_at_once(limits, rows + first_capacity)).max(1);
+        let plan = loop {
+            match of(vectors) {
+                Err(Error::Memory { .. }) if vectors > 1 => vectors /= 2,
+                plan => break plan?,
+            }
+        };
+        Ok(Self { parts: all.div_ceil(vectors), ..plan })
     }
 
     /// Returns the peak.

@@ -16,7 +16,7 @@ use crate::{
         FrameShape, ViewGrid,
         render::{
             DeviceScene, FeatureRows, PlanCache, PlanKey, Renderer, VECTOR, VECTORS_AT_ONCE, camera_rows, check_camera,
-            first_capacity,
+            first_capacity, needed,
         },
     },
     types::{Camera, Scene},
@@ -151,7 +151,9 @@ impl FeatureRenderer {
         let part = self.part(lifted.weights.len(), &[vectors])?;
         for (i, camera) in cameras.iter().enumerate() {
             let values = values(i)?;
-            let cells = check_values(&values, i, channels)?;
+            check_values(&values, i, channels)?;
+            let values = at_pixels(values, camera);
+            let cells = [values.width, values.height];
             let padded = padded(&values.values, channels, columns.clone(), VECTOR * vectors, is_counted);
             let job = Job { vectors, cells: Some(cells), ..job(scene, group) };
             self.run(device_scene, camera, job, &part, Some(&padded), |_, _| Ok(()))?;
@@ -243,20 +245,16 @@ impl FeatureRenderer {
     ) -> Result<()> {
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
         let key = PlanKey { shape, backward: job.cells.is_some(), options: job };
-        loop {
-            let plan =
-                self.plans.get(key, |capacity| FeaturePlan::new(&self.arena, scene, shape, job, part, capacity))?;
+        let record = |capacity| FeaturePlan::new(&self.arena, scene, shape, job, part, capacity);
+        let plan = self.plans.run(key, record, |plan| {
             plan.run.write(plan.tensors.camera, &[camera_rows(camera)])?;
             if let Some((tensor, values)) = plan.tensors.values.zip(values) {
                 plan.run.write(tensor, values)?;
             }
             plan.run.execute()?;
-            let status: Vec<u32> = plan.run.read(plan.tensors.status)?;
-            let needed = if status[2] == 0 { status[1] as usize } else { 1 << 32 };
-            if let Some(plan) = self.plans.fitting(needed)? {
-                return read(&plan.run, &plan.tensors.pictures);
-            }
-        }
+            needed(&plan.run, plan.tensors.status)
+        })?;
+        read(&plan.run, &plan.tensors.pictures)
     }
 }
 
@@ -272,14 +270,38 @@ fn check(cameras: &[Camera]) -> Result<()> {
     cameras.iter().enumerate().try_for_each(|(i, camera)| check_camera(i, camera))
 }
 
-fn check_values(values: &PixelValues, i: usize, channels: usize) -> Result<[u32; 2]> {
+fn check_values(values: &PixelValues, i: usize, channels: usize) -> Result<()> {
     let PixelValues { width, height, .. } = *values;
     let expected = width as usize * height as usize * channels;
     if expected == 0 || values.channels != channels || values.values.len() != expected {
         let found = format!("{} as {width} x {height} of {} channels", values.values.len(), values.channels);
         return Err(Error::argument(format!("values of picture {i}"), found, format!("{channels} channels per pixel")));
     }
-    Ok([width, height])
+    Ok(())
+}
+
+/// Returns the cells to lift from: those given, or pixels if these are fewer.
+fn lifted_cells(cells: [u32; 2], camera: &Camera) -> [u32; 2] {
+    let pixels = [camera.intrinsics.width, camera.intrinsics.height];
+    let count = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+    if count(cells) > count(pixels) { pixels } else { cells }
+}
+
+/// Returns the values of [`lifted_cells`]: of each pixel's cell, as the kernel chooses it.
+fn at_pixels(values: PixelValues, camera: &Camera) -> PixelValues {
+    let cells = [values.width, values.height];
+    let [width, height] = lifted_cells(cells, camera);
+    if [width, height] == cells {
+        return values;
+    }
+    let PixelValues { channels, values, .. } = values;
+    let cell = |at: u32, cells: u32, pixels: u32| (u64::from(at) * u64::from(cells) / u64::from(pixels)) as usize;
+    let pixel = |at: u32| {
+        let [x, y] = [cell(at % width, cells[0], width), cell(at / width, cells[1], height)];
+        &values[(y * cells[0] as usize + x) * channels..][..channels]
+    };
+    let values = (0..width * height).flat_map(pixel).copied().collect();
+    PixelValues { width, height, channels, values }
 }
 
 fn is_counted(row: &[f32]) -> bool {

@@ -5,25 +5,25 @@ use super::{
     adam::HostAdam,
     checkpoint::State,
     gaussians::{ADAM, Gaussians},
+    planned::COLORS,
     views::View,
 };
 use crate::{
     Result,
     gpu::{Recorder, Tensor},
-    kernels::{loss::Value, refine as kernels},
-    ops::row_chunks,
-    stages::FrameShape,
+    kernels::refine as kernels,
+    stages::{
+        FrameShape,
+        camera_sums::{CameraPart, RUN, camera_parts, record_camera_sums},
+    },
     types::ColorTransform,
 };
-use std::ops::Range;
 
 /// Numbers of a transform.
 pub const EXPOSURE_NUMBERS: usize = 12;
 /// Least steps before exposures are learned, until the scene resembles the photos; else a tenth of
 /// all.
 const MIN_WARM_UP: usize = 10;
-/// Pixels per invocation of the backward pass.
-const RUN: usize = 8;
 /// Factor of half the squared distance from the identity in a photo's loss.
 const PRIOR: f64 = 0.02;
 /// Limit of a photo's first brightness relative to the scene's, and of its inverse.
@@ -49,18 +49,11 @@ impl Exposed {
     pub fn record(rec: &mut Recorder, [frames, targets, transforms]: [Tensor; 3], shape: FrameShape) -> Self {
         let exposed = rec.tensor::<f32>("exposed", 3 * shape.pixels() * shape.cameras);
         rec.scope("exposure", |rec| {
-            for (cameras, [frames, targets, exposed]) in parts(rec, shape, [frames, targets, exposed]) {
-                let count = cameras.len() * shape.pixels();
-                let kernel = kernels::Exposure {
-                    frames,
-                    targets,
-                    transforms,
-                    exposed,
-                    count: count as u32,
-                    pixels: shape.pixels() as u32,
-                    first: cameras.start as u32,
-                };
-                rec.dispatch(kernel, count);
+            for part in camera_parts(rec, shape, &[COLORS]) {
+                let [frames, targets, exposed] = [frames, targets, exposed].map(|tensor| part.of(tensor, COLORS));
+                let CameraPart { first, cameras, pixels, .. } = part;
+                let count = cameras * pixels;
+                rec.dispatch(kernels::Exposure { frames, targets, transforms, exposed, count, pixels, first }, count);
             }
         });
         Self { frames, targets, transforms, shape, exposed }
@@ -71,43 +64,26 @@ impl Exposed {
     pub fn record_backward(self, rec: &mut Recorder, gradient: Tensor) -> Tensor {
         let Self { frames, targets, transforms, shape, .. } = self;
         let d_transforms = rec.tensor::<[f32; EXPOSURE_NUMBERS]>("d_transforms", shape.cameras);
-        let groups = shape.pixels().div_ceil(RUN * rec.limits().subgroup_size as usize);
         rec.scope("exposure", |rec| {
-            for (cameras, [frames, targets, gradient]) in parts(rec, shape, [frames, targets, gradient]) {
-                let sums = rec.tensor::<f32>("sums", EXPOSURE_NUMBERS * cameras.len() * groups);
+            record_camera_sums(rec, shape, &[COLORS], (d_transforms, EXPOSURE_NUMBERS), |rec, part, sums| {
+                let CameraPart { first, cameras, pixels, groups } = part;
                 let kernel = kernels::ExposureBackward {
-                    frames,
-                    targets,
+                    frames: part.of(frames, COLORS),
+                    targets: part.of(targets, COLORS),
                     transforms,
-                    gradient,
+                    gradient: part.of(gradient, COLORS),
                     sums,
-                    cameras: cameras.len() as u32,
-                    pixels: shape.pixels() as u32,
-                    groups: groups as u32,
-                    first: cameras.start as u32,
+                    cameras,
+                    pixels,
+                    groups,
+                    first,
                     run: RUN as u32,
                 };
-                rec.dispatch_groups(kernel, cameras.len() * groups);
-                let first = (EXPOSURE_NUMBERS * cameras.start) as u32;
-                let kernel = Value { sums, values: d_transforms, first, count: groups as u32, scale: 1.0 };
-                rec.dispatch_groups(kernel, EXPOSURE_NUMBERS * cameras.len());
-            }
+                rec.dispatch_groups(kernel, (cameras * groups) as usize);
+            });
         });
         d_transforms
     }
-}
-
-/// Ranges of cameras whose pictures fit a binding, with their parts of `pictures`.
-fn parts(
-    rec: &Recorder,
-    shape: FrameShape,
-    pictures: [Tensor; 3],
-) -> impl Iterator<Item = (Range<usize>, [Tensor; 3])> + use<> {
-    let values = 3 * shape.pixels();
-    row_chunks(rec, shape.cameras, &[size_of::<f32>() * values]).map(move |cameras| {
-        let part = |picture: Tensor| picture.slice::<f32>(cameras.start * values, cameras.len() * values);
-        (cameras.clone(), pictures.map(part))
-    })
 }
 
 pub(super) fn first_step(steps: usize) -> usize {

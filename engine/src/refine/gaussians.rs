@@ -13,9 +13,7 @@ use crate::{
     Error, Result,
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     perceptual::{LpipsWeights, Perceptual},
-    stages::render::{
-        FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, SceneGradients, SceneTensors, first_capacity,
-    },
+    stages::render::{FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, SceneTensors, first_capacity},
     types::{Scene, unit_quaternion},
 };
 use std::sync::Arc;
@@ -103,11 +101,11 @@ impl Gaussians {
         };
         let fields = [0, 1, 2, 3, 4].map(field);
         let update = update(arena, &memory, &fields)?;
-        write(&memory, values, scene)?;
+        let tensors = SceneTensors::of(values, len, scene.sh_degree);
+        tensors.write(&memory, &bounded(scene.clone()))?;
         let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
         filling(arena, &memory, zero)?.execute()?;
         let begin = [0, 1, 2, 3, 4].map(|i| (fields[i].gradient, fields[i].penalty));
-        let tensors = scene_tensors(values, len, scene.sh_degree);
         let gaussians = Self::of(arena, options, vec![memory], tensors, begin, update)?;
         Ok(Self { fields: fields.into(), ..gaussians })
     }
@@ -120,6 +118,7 @@ impl Gaussians {
         gradients: [(Tensor, f32); 5],
         (update, schedule): (Run, Tensor),
     ) -> Result<Self> {
+        let d_scene = SceneTensors::of(gradients.map(|(tensor, _)| tensor), scene.len, scene.sh_degree);
         let clear = filling(arena, &memories[0], gradients.into_iter())?;
         let open = |PerceptualLoss { network, .. }: PerceptualLoss| {
             let device = arena.device();
@@ -134,7 +133,7 @@ impl Gaussians {
             fields: Vec::new(),
             scene,
             drawing: RenderOptions::default(),
-            gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
+            gradients: Gradients { scene: Some(d_scene), cameras: None },
             tokens: None,
             options: options.clone(),
             learns_exposures: false,
@@ -270,14 +269,25 @@ impl Gaussians {
         })
     }
 
+    /// Allocates the memory of a step with one photo, whose exposure is learned if `exposed`.
+    pub fn reserve(&mut self, view: &View, exposed: bool) -> Result<()> {
+        let learned = self.learns_exposures;
+        self.learns_exposures |= exposed;
+        let planned = self.plan(&[view], true).map(drop);
+        if self.learns_exposures != learned {
+            self.learns_exposures = learned;
+            self.plans.clear();
+        }
+        planned
+    }
+
     pub fn scene(&self) -> Result<Scene> {
         let antialiased = self.drawing.antialiased.unwrap_or(false);
         Ok(Scene { antialiased, ..self.scene.read(&self.memories[0])? })
     }
 
     pub fn show(&self, scene: &Scene) -> Result<()> {
-        let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = self.scene;
-        write(&self.memories[0], [means, scales, quats, opacities, sh_coeffs], &padded(scene, len))
+        self.scene.write(&self.memories[0], &bounded(padded(scene, self.scene.len)))
     }
 
     /// Passes the root mean squares of the means' gradients to `change`, which returns the
@@ -287,9 +297,10 @@ impl Gaussians {
         let squares: Vec<[f32; 3]> = memory.read(self.fields[0].moments[1])?;
         let root = |squares: &[f32; 3]| squares.iter().copied().map(f64::from).sum::<f64>().sqrt();
         let changed = change(&mut scene, &squares.iter().map(root).collect::<Vec<_>>());
-        write(memory, [0, 1, 2, 3, 4].map(|i| self.fields[i].values), &scene)?;
+        let count = scene.len();
+        self.scene.write(memory, &bounded(scene))?;
         for Field { moments, len, .. } in &self.fields {
-            let width = len / scene.len();
+            let width = len / count;
             for moment in moments {
                 let mut values: Vec<f32> = memory.read(*moment)?;
                 changed.iter().for_each(|i| values[i * width..(i + 1) * width].fill(0.0));
@@ -324,27 +335,13 @@ pub(super) fn max_batch(pixels: usize) -> usize {
     (MAX_BATCH_PIXELS / pixels).max(1)
 }
 
-pub(super) fn scene_tensors(
-    [means, scales, quats, opacities, sh_coeffs]: [Tensor; 5],
-    len: usize,
-    sh_degree: u32,
-) -> SceneTensors {
-    SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree }
-}
-
-pub(super) fn scene_gradients([means, scales, quats, opacities, sh_coeffs]: [Tensor; 5]) -> SceneGradients {
-    SceneGradients { means, scales, quats, opacities, sh_coeffs }
-}
-
-fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
-    let [means, scales, quats, opacities, sh_coeffs] = values;
-    let positive = |scales: &[f32; 3]| scales.map(|scale| scale.max(LEAST_SCALE));
-    let between = |opacity: &f32| opacity.clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
-    memory.write(means, &scene.means)?;
-    memory.write(scales, &scene.scales.iter().map(positive).collect::<Vec<_>>())?;
-    memory.write(quats, &scene.quats.iter().copied().map(unit_quaternion).collect::<Vec<_>>())?;
-    memory.write(opacities, &scene.opacities.iter().map(between).collect::<Vec<_>>())?;
-    memory.write(sh_coeffs, &scene.sh_coeffs)
+/// Moves stored values into the ranges of their spaces.
+fn bounded(mut scene: Scene) -> Scene {
+    scene.scales.as_flattened_mut().iter_mut().for_each(|scale| *scale = scale.max(LEAST_SCALE));
+    scene.quats.iter_mut().for_each(|quat| *quat = unit_quaternion(*quat));
+    let between = |opacity: f32| opacity.clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
+    scene.opacities.iter_mut().for_each(|opacity| *opacity = between(*opacity));
+    scene
 }
 
 pub(super) fn filling(

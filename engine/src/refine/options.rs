@@ -76,7 +76,7 @@ pub struct RefineOptions {
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
-    /// Factor of the mean scale in the loss, relative to the scene scale.
+    /// Factor of the mean scale in the loss, relative to the scene scale. Ignored for tokens.
     pub scale_penalty: f32,
     /// Whether the first half of the steps uses downscaled photos.
     pub coarse_to_fine: bool,

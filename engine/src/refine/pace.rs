@@ -63,9 +63,44 @@ impl Pace {
     }
 }
 
+/// Evenly spaced snapshots of a run whose number of steps may change.
+pub(super) struct Snapshots {
+    count: usize,
+    taken: usize,
+}
+
+impl Snapshots {
+    /// `done` steps of a resumed run have had their snapshots.
+    pub fn new(count: usize, done: usize, steps: usize) -> Self {
+        Self { count, taken: done * count / steps.max(1) }
+    }
+
+    /// Returns true if the scene after `done` of `steps` is the next snapshot.
+    pub fn is_due(&mut self, done: usize, steps: usize) -> bool {
+        let is_due = done * self.count / steps > self.taken;
+        self.taken += usize::from(is_due);
+        is_due
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_snapshot_is_repeated_or_lost() {
+        let taken = |first: usize, steps: fn(usize) -> usize| {
+            let mut snapshots = Snapshots::new(4, first, steps(first));
+            (first + 1..=100).filter(|done| snapshots.is_due(*done, steps(*done))).collect::<Vec<_>>()
+        };
+        assert_eq!(taken(0, |_| 100), [25, 50, 75, 100]);
+        assert_eq!(taken(50, |_| 100), [75, 100]);
+        // The run becomes longer after step 50, or shorter after step 30.
+        assert_eq!(taken(0, |done| if done <= 50 { 80 } else { 100 }), [20, 40, 75, 100]);
+        assert_eq!(taken(0, |done| if done <= 45 { 60 } else { 100 }), [15, 30, 45, 100]);
+        assert_eq!(taken(0, |done| if done <= 30 { 400 } else { 100 }), [31, 50, 75, 100]);
+        assert_eq!(taken(0, |done| if done <= 60 { 400 } else { 100 }), [61, 62, 75, 100]);
+    }
 
     const WORK: Work = Work { coarse: true, shortest: 252, growth: 16.0 };
 

@@ -57,6 +57,14 @@ struct Photo {
     depth: Option<Arc<[f32]>>,
 }
 
+impl Photo {
+    fn bytes(&self) -> u64 {
+        let mask = self.image.mask.as_ref().map_or(0, Vec::len);
+        let depth = self.depth.as_ref().map_or(0, |depth| size_of_val(&**depth));
+        (self.image.rgb.len() + mask + depth) as u64
+    }
+}
+
 /// Photos at the sizes of the coarse-to-fine phases. Results are independent of the limit.
 pub(super) struct PhotoCache<'a> {
     photos: &'a dyn Photos,
@@ -138,8 +146,13 @@ impl<'a> PhotoCache<'a> {
         });
         for opened in opened.collect::<Vec<Result<_>>>() {
             let (keep, photos) = opened?;
-            let to = if keep { &mut self.kept } else { &mut self.ahead };
-            to.extend(photos);
+            if keep {
+                let bytes: u64 = photos.iter().map(|(_, photo)| photo.bytes()).sum();
+                self.left += self.most_bytes(photos[0].0.0) - bytes;
+                self.kept.extend(photos);
+            } else {
+                self.ahead.extend(photos);
+            }
         }
         Ok(())
     }
@@ -149,11 +162,16 @@ impl<'a> PhotoCache<'a> {
     }
 
     fn reserve(&mut self, photo: usize) -> bool {
-        let each = if self.depth.is_some() { 7 } else { 3 };
-        let bytes = |factor: u32| each * self.size(photo, factor).into_iter().map(u64::from).product::<u64>();
-        let left = self.left.checked_sub(self.factors(photo).into_iter().map(bytes).sum());
+        let left = self.left.checked_sub(self.most_bytes(photo));
         self.left = left.unwrap_or(self.left);
         left.is_some()
+    }
+
+    /// Bytes of a photo at all factors if it has a mask and, in use, depth.
+    fn most_bytes(&self, photo: usize) -> u64 {
+        let each = if self.depth.is_some() { 8 } else { 4 };
+        let bytes = |factor: u32| each * self.size(photo, factor).into_iter().map(u64::from).product::<u64>();
+        self.factors(photo).into_iter().map(bytes).sum()
     }
 
     fn open(&self, i: usize, factors: Vec<u32>) -> Result<Vec<((usize, u32), Photo)>> {
@@ -225,5 +243,24 @@ mod tests {
             let (found, more) = used(max_bytes);
             assert!(found == all && more > opened, "{max_bytes}: {more} of {opened}");
         }
+    }
+
+    #[test]
+    fn masks_count_as_memory_of_photos() {
+        let photo = |masked: bool| {
+            let photo = Image::new(40, 30, vec![7; 3 * 1200]).expect("a photo");
+            if masked { photo.with_mask(vec![255; 1200]).expect("a mask") } else { photo }
+        };
+        let photos = [photo(true), photo(false), photo(true)];
+        let kept = |max_bytes: u64| {
+            let mut cache = PhotoCache::new(&photos, None, true, max_bytes, None);
+            cache.fill(&[0, 1, 2]).expect("photos");
+            let mut kept: Vec<usize> = cache.kept.keys().map(|(photo, _)| *photo).collect();
+            kept.sort_unstable();
+            (kept, max_bytes - cache.left)
+        };
+        assert_eq!(kept(100_000), (vec![0, 1, 2], (4 + 3 + 4) * 1200));
+        assert_eq!(kept(3 * 3 * 1200), (vec![0, 1], (4 + 3) * 1200));
+        assert_eq!(kept(3 * 1200), (vec![], 0));
     }
 }

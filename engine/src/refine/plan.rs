@@ -1,6 +1,6 @@
 use super::{
     Adam, Exposure, RefineOptions, Space, filled,
-    gaussians::{batch_size, max_batch, scene_gradients, scene_tensors},
+    gaussians::{batch_size, max_batch},
     length::grown_len,
     planned::{Training, record_photos},
     record_adam,
@@ -72,7 +72,7 @@ pub fn plan_refinement(
     let mut layout = ResidentLayout::new(limits);
     let counts = [3, 3, 4, 1, 3 * (sh_degree as usize + 1).pow(2)].map(|width| width * len);
     let [values, gradients] = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
-    let scene = scene_tensors(values, len, sh_degree);
+    let [scene, d_scene] = [values, gradients].map(|tensors| SceneTensors::of(tensors, len, sh_degree));
     let mut plans = Vec::new();
     let mut kept_bytes = 0;
     match moved {
@@ -95,7 +95,7 @@ pub fn plan_refinement(
             let kept = head.keep(&mut layout, count, scene_scale);
             let mut rec = Recorder::new(limits);
             let schedule = rec.input::<f32>("schedule", 4);
-            let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
+            let d_tokens = head.record_backward(&mut rec, &kept, &d_scene);
             adam(&mut rec, tokens, d_tokens, [first, second], schedule, width);
             head.record_kept(&mut rec, tokens, &kept, &scene);
             plans.push(rec.finish()?);
@@ -110,7 +110,7 @@ pub fn plan_refinement(
         options.perceptual_loss.map(|loss| LpipsWeights::layout(limits, Arithmetic::EXACT, loss.network, true));
     kept_bytes += weights.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
     let lpips = weights.as_ref().map(|(_, lpips)| lpips);
-    let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
+    let gradients = Gradients { scene: Some(d_scene), cameras: None };
     record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], (&options, masked))?;
     Ok(RefinePlan { kept_bytes, plans })
 }
@@ -126,7 +126,7 @@ fn record_steps(
 ) -> Result<()> {
     let photo_size = |factor| fitted([width, height], options.max_image_size, factor);
     let steps = options.length.most_steps();
-    let schedule = Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine };
+    let schedule = Schedule { steps, coarse: options.coarse_to_fine };
     let shortest = photo_size(1).into_iter().min().unwrap_or(0);
     let each = options.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
     let mut factors: Vec<u32> = (0..steps).map(|step| schedule.factor(step, shortest)).collect();

@@ -9,7 +9,7 @@ use crate::{
     stages::{
         SceneTensors,
         depth_loss::DepthFrames,
-        loss::{LossTensors, record_loss, record_masked, record_masked_gradient, record_targets},
+        loss::{LossTensors, record_loss, record_mask, record_targets},
         lpips::{Lpips, LpipsPictures},
         render::{
             CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows,
@@ -18,7 +18,7 @@ use crate::{
     },
 };
 
-const COLORS: usize = 3;
+pub(super) const COLORS: usize = 3;
 
 /// A plan that renders photos' cameras and, in training, accumulates gradients.
 pub(super) struct PhotoPlan {
@@ -118,13 +118,13 @@ pub(super) fn record_photos(
         let frames = split.map_or(frames, |split| split.colors);
         let exposed = transforms.map(|transforms| Exposed::record(rec, [frames, targets, transforms], shape));
         let frames = exposed.map_or(frames, |exposed| exposed.exposed);
-        let frames = masks.map_or(frames, |masks| record_masked(rec, [frames, targets, masks], pixels));
+        let frames = masks.map_or(frames, |masks| record_mask(rec, frames, Some(targets), masks, pixels));
         let LossTensors { value, d_frames } = record_loss(rec, options.loss, frames, targets, shape, COLORS, scale);
         rec.output(value);
         let perceptual =
             lpips.and_then(|lpips| record_perceptual(rec, lpips, options, [frames, targets, d_frames], shape));
         perceptual.iter().for_each(|(_, value)| rec.output(*value));
-        masks.iter().for_each(|masks| record_masked_gradient(rec, d_frames, *masks, pixels));
+        let d_frames = masks.map_or(d_frames, |masks| record_mask(rec, d_frames, None, masks, pixels));
         let exposures = exposed.zip(transforms).map(|(exposed, transforms)| {
             let d_transforms = exposed.record_backward(rec, d_frames);
             rec.output(d_transforms);

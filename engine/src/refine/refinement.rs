@@ -11,7 +11,7 @@ use super::{
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
-    pace::Pace,
+    pace::{Pace, Snapshots},
     photos::PhotoCache,
     planned::PhotoLoss,
     schedule::{Schedule, rate_of_error},
@@ -108,7 +108,7 @@ impl<'a> Refinement<'a> {
         Ok(Self {
             photos,
             cameras: Cameras::new(cameras, moving, rates),
-            schedule: Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine },
+            schedule: Schedule { steps, coarse: options.coarse_to_fine },
             order: Order::new(training.len(), options.seed),
             options,
             pace: None,
@@ -209,6 +209,10 @@ impl<'a> Refinement<'a> {
             self.evaluate(0)?;
         }
         self.photos.fill(&self.training)?;
+        if first < steps {
+            self.reserve()?;
+        }
+        let mut snapshots = Snapshots::new(self.options.snapshots, first, steps);
         let mut step = first;
         while step < steps {
             self.resize(step);
@@ -227,8 +231,11 @@ impl<'a> Refinement<'a> {
             let weights =
                 [self.fraction * self.schedule.rate(step), self.depth_weight * self.schedule.depth_weight(step)];
             let found = match self.gaussians.step(&views.iter().collect::<Vec<_>>(), weights) {
-                // The Gaussians are those before the step.
-                Err(error @ Error::Memory { .. }) if step > 0 => return self.interrupt(error, step, saving, begin),
+                // The Gaussians are those before the step, which may be taken later.
+                Err(error @ Error::Memory { .. }) if step > 0 => {
+                    views.iter().rev().for_each(|view| self.upcoming.push_front(view.photo));
+                    return self.interrupt(error, step, saving, begin);
+                }
                 found => found?,
             };
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
@@ -261,8 +268,7 @@ impl<'a> Refinement<'a> {
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
-            let snapshots = |done: usize| done * self.options.snapshots / steps;
-            let scene = (snapshots(done) > snapshots(step)).then(|| self.scene()).transpose()?;
+            let scene = snapshots.is_due(done, steps).then(|| self.scene()).transpose()?;
             let now = RefineProgress { step: done, steps, loss, psnr, eta, scene: scene.as_ref() };
             let cancelled = progress(now).is_break();
             if let Some(saving) = saving.as_mut().filter(|saving| cancelled || saving.is_due())

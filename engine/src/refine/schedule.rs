@@ -18,7 +18,6 @@ const SHORTEST: u32 = 96;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
-    pub rate: f32,
     pub coarse: bool,
 }
 
@@ -26,7 +25,7 @@ impl Schedule {
     pub fn rate(&self, step: usize) -> f32 {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
         let first = (FULL / self.steps as f64).min(1.0);
-        self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
+        (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
     /// Fraction of the initial weight.
@@ -62,15 +61,15 @@ mod tests {
 
     #[test]
     fn rates_fall_to_a_tenth_and_photos_grow() {
-        let schedule = Schedule { steps: 100, rate: 2.0, coarse: true };
+        let schedule = Schedule { steps: 100, coarse: true };
         let rates: Vec<f32> = (0..100).map(|step| schedule.rate(step)).collect();
-        assert!(rates[0] == 2.0 && (rates[99] - 0.2).abs() < 1e-6 && rates.is_sorted_by(|a, b| a > b));
+        assert!(rates[0] == 1.0 && (rates[99] - 0.1).abs() < 1e-6 && rates.is_sorted_by(|a, b| a > b));
         assert_eq!([0, 19, 20, 49, 50, 99].map(|step| schedule.factor(step, 400)), [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 20, 50].map(|step| schedule.factor(step, 252)), [2, 2, 1]);
         assert_eq!(schedule.factor(0, 84), 1);
         assert_eq!(Schedule { coarse: false, ..schedule }.factor(0, 400), 1);
-        assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 2.0);
-        assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 0.5);
+        assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 1.0);
+        assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 0.25);
         let weights = [0, 99].map(|step| schedule.depth_weight(step));
         assert!(weights[0] == 1.0 && (weights[1] - 0.01).abs() < 1e-6);
         assert_eq!([12.0, 20.0, 40.0].map(rate_of_error), [1.0, 1.0, 0.1]);

@@ -4,7 +4,7 @@
 
 use super::{
     RefineOptions, Space,
-    gaussians::{ADAM, Gaussians, filling, record_fills, scene_gradients, scene_tensors},
+    gaussians::{ADAM, Gaussians, filling, record_fills},
     record_adam,
 };
 use crate::{
@@ -12,7 +12,7 @@ use crate::{
     gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
     ops::ParameterLayout,
     reconstruct::SceneTokens,
-    stages::gaussians::Head,
+    stages::{SceneTensors, gaussians::Head},
     tune::KernelChoice,
     types::Scene,
     weights::{Architecture, Checkpoint},
@@ -63,7 +63,7 @@ pub(super) fn gaussians(
     let memory = Arc::new(Resident::new(device, &layout)?);
     memory.write(scene_scale, &[tokens.scene_scale() as f32])?;
     filling(arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
-    let scene = scene_tensors(values, len, sh_degree);
+    let [scene, d_scene] = [values, gradients].map(|tensors| SceneTensors::of(tensors, len, sh_degree));
 
     // Once: the Gaussians of a copy of the tokens; the originals stay unchanged.
     let mut rec = Recorder::new(device.limits());
@@ -77,7 +77,7 @@ pub(super) fn gaussians(
     // Every step: backward through the last run, then forward again.
     let mut rec = Recorder::new(device.limits());
     let schedule = rec.input::<f32>("schedule", 4);
-    let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
+    let d_tokens = head.record_backward(&mut rec, &kept, &d_scene);
     rec.scope("adam", |rec| {
         let (rate, len) = (options.learning_rates.tokens, count * width);
         record_adam(rec, ADAM, moved, d_tokens, [first, second], schedule, rate, Space::Linear, len);

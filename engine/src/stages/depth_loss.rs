@@ -1,15 +1,17 @@
-use super::FrameShape;
+use super::{
+    FrameShape,
+    camera_sums::{CameraPart, RUN, record_camera_sums},
+};
 use crate::{
     gpu::{Recorder, Tensor},
-    kernels::loss::{DepthGradient, DepthSums, Value},
-    ops::row_chunks,
+    kernels::loss::{DepthGradient, DepthSums},
 };
 
-/// Pixels per invocation.
-const RUN: usize = 8;
 const TERMS: usize = 5;
 /// RGB, alpha and expected depth.
 const CHANNELS: usize = 5;
+/// Channels of all pictures: frames, colors, depth.
+const ALL: [usize; 3] = [CHANNELS, 3, 1];
 
 /// Unit of known depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,17 +40,15 @@ impl DepthFrames {
     pub fn record(rec: &mut Recorder, [frames, targets]: [Tensor; 2], shape: FrameShape) -> Self {
         let colors = rec.tensor::<f32>("frame_colors", 3 * shape.pixels() * shape.cameras);
         let lines = rec.tensor::<[f32; TERMS]>("depth_lines", shape.cameras);
-        let split = Self { frames, targets, shape, lines, colors };
         rec.scope("depth_loss", |rec| {
-            split.each_part(rec, TERMS, |rec, part, sums| {
-                let Part { cameras, pixels, groups, .. } = part;
+            record_camera_sums(rec, shape, &ALL, (lines, TERMS), |rec, part, sums| {
+                let CameraPart { cameras, pixels, groups, .. } = part;
                 let (frames, targets, colors) = (part.of(frames, CHANNELS), part.of(targets, 1), part.of(colors, 3));
                 let kernel = DepthSums { frames, targets, colors, sums, cameras, pixels, groups, run: RUN as u32 };
                 rec.dispatch_groups(kernel, (cameras * groups) as usize);
-                lines
             });
         });
-        split
+        Self { frames, targets, shape, lines, colors }
     }
 
     /// Records the loss `[cameras]`, in inverse units of length, and its gradient by the frames,
@@ -58,8 +58,8 @@ impl DepthFrames {
         let value = rec.tensor::<f32>("depth_loss", shape.cameras);
         let d_frames = rec.tensor::<f32>("d_frames", CHANNELS * shape.pixels() * shape.cameras);
         rec.scope("depth_loss", |rec| {
-            self.each_part(rec, 1, |rec, part, sums| {
-                let Part { first, cameras, pixels, groups } = part;
+            record_camera_sums(rec, shape, &ALL, (value, 1), |rec, part, sums| {
+                let CameraPart { first, cameras, pixels, groups } = part;
                 let kernel = DepthGradient {
                     frames: part.of(frames, CHANNELS),
                     targets: part.of(targets, 1),
@@ -76,40 +76,8 @@ impl DepthFrames {
                     fitted: kind == DepthKind::Relative,
                 };
                 rec.dispatch_groups(kernel, (cameras * groups) as usize);
-                value
             });
         });
         [value, d_frames]
-    }
-
-    /// Records parts of the cameras whose frames fit a binding. `record` writes `[cameras, width,
-    /// groups]` sums and returns the tensor of their totals.
-    fn each_part(self, rec: &mut Recorder, width: usize, record: impl Fn(&mut Recorder, Part, Tensor) -> Tensor) {
-        let pixels = self.shape.pixels();
-        let groups = pixels.div_ceil(RUN * rec.limits().subgroup_size as usize);
-        let widths = [CHANNELS, 3, 1].map(|channels| size_of::<f32>() * channels * pixels);
-        for cameras in row_chunks(rec, self.shape.cameras, &widths) {
-            let [first, count] = [cameras.start as u32, cameras.len() as u32];
-            let part = Part { first, cameras: count, pixels: pixels as u32, groups: groups as u32 };
-            let sums = rec.tensor::<f32>("sums", width * cameras.len() * groups);
-            let values = record(rec, part, sums);
-            let kernel = Value { sums, values, first: width as u32 * first, count: groups as u32, scale: 1.0 };
-            rec.dispatch_groups(kernel, width * cameras.len());
-        }
-    }
-}
-
-#[derive(Clone, Copy)]
-struct Part {
-    first: u32,
-    cameras: u32,
-    pixels: u32,
-    groups: u32,
-}
-
-impl Part {
-    fn of(self, tensor: Tensor, channels: usize) -> Tensor {
-        let width = channels * self.pixels as usize;
-        tensor.slice::<f32>(width * self.first as usize, width * self.cameras as usize)
     }
 }

@@ -91,32 +91,30 @@ pub fn record_targets(rec: &mut Recorder, photos: Tensor, count: usize) -> Tenso
 
 /// Records `frames` with the masked pixels of `targets`, both `[pixels, 3]`, which have no
 /// difference in any loss. A byte of 0 in `masks`, `[ceil(pixels / 4)]` u32, masks its pixel.
-pub fn record_masked(rec: &mut Recorder, [frames, targets, masks]: [Tensor; 3], pixels: usize) -> Tensor {
-    let masked = rec.tensor::<f32>("masked", 3 * pixels);
-    record_mask(rec, [frames, targets, masks, masked], pixels, false);
-    masked
-}
-
-/// Records the backward pass of [`record_masked`]: `gradient` `[pixels, 3]` by the masked frames
-/// becomes that by the frames.
-pub fn record_masked_gradient(rec: &mut Recorder, gradient: Tensor, masks: Tensor, pixels: usize) {
-    // Placeholders for the unused frames and targets.
-    record_mask(rec, [masks, masks, masks, gradient], pixels, true);
-}
-
-fn record_mask(rec: &mut Recorder, [frames, targets, masks, result]: [Tensor; 4], pixels: usize, gradient: bool) {
+///
+/// Without targets, records the backward pass: `frames` are the gradient by the masked frames and
+/// become that by the frames.
+pub fn record_mask(
+    rec: &mut Recorder,
+    frames: Tensor,
+    targets: Option<Tensor>,
+    masks: Tensor,
+    pixels: usize,
+) -> Tensor {
+    let result = targets.map_or(frames, |_| rec.tensor::<f32>("masked", 3 * pixels));
     rec.scope("mask", |rec| {
         for part in row_chunks(rec, pixels.div_ceil(4), &[12 * size_of::<f32>(), size_of::<u32>()]) {
             let first = 4 * part.start;
             let count = 3 * (pixels - first).min(4 * part.len());
             let values = |tensor: Tensor| tensor.slice::<f32>(3 * first, count);
             let masks = masks.slice::<u32>(part.start, part.len());
-            let [frames, targets] = if gradient { [masks; 2] } else { [frames, targets].map(values) };
-            let kernel =
-                kernels::Mask { frames, targets, masks, result: values(result), count: count as u32, gradient };
-            rec.dispatch(kernel, count);
+            let (result, gradient, count) = (values(result), targets.is_none(), count as u32);
+            // Placeholders, if unused.
+            let [frames, targets] = targets.map_or([masks; 2], |targets| [frames, targets].map(values));
+            rec.dispatch(kernels::Mask { frames, targets, masks, result, count, gradient }, count);
         }
     });
+    result
 }
 
 struct Pictures {

@@ -1,5 +1,6 @@
 mod architecture;
 pub mod backbone;
+pub(crate) mod camera_sums;
 pub mod cluster;
 pub mod depth_loss;
 pub mod fuse;
@@ -106,6 +107,7 @@ pub struct FrameShape {
     pub height: u32,
 }
 
+/// Gaussians, or gradients of their stored values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneTensors {
     /// `[len, 3]` world.
@@ -123,16 +125,6 @@ pub struct SceneTensors {
     pub sh_degree: u32,
 }
 
-/// Gradients of the stored values, such as unnormalized quaternions, in their shapes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SceneGradients {
-    pub means: Tensor,
-    pub scales: Tensor,
-    pub quats: Tensor,
-    pub opacities: Tensor,
-    pub sh_coeffs: Tensor,
-}
-
 impl SceneTensors {
     pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
         let tensors = Self {
@@ -144,9 +136,16 @@ impl SceneTensors {
             len,
             sh_degree,
         };
-        let Self { means, scales, quats, opacities, sh_coeffs, .. } = tensors;
-        [means, scales, quats, opacities, sh_coeffs].into_iter().for_each(|tensor| rec.output(tensor));
+        tensors.all().into_iter().for_each(|tensor| rec.output(tensor));
         tensors
+    }
+
+    pub fn of([means, scales, quats, opacities, sh_coeffs]: [Tensor; 5], len: usize, sh_degree: u32) -> Self {
+        Self { means, scales, quats, opacities, sh_coeffs, len, sh_degree }
+    }
+
+    pub fn all(&self) -> [Tensor; 5] {
+        [self.means, self.scales, self.quats, self.opacities, self.sh_coeffs]
     }
 
     pub fn lay_out(layout: &mut ResidentLayout, len: usize, sh_degree: u32) -> Self {
@@ -159,6 +158,14 @@ impl SceneTensors {
             len,
             sh_degree,
         }
+    }
+
+    pub fn write(&self, memory: &Resident, scene: &Scene) -> Result<()> {
+        memory.write(self.means, &scene.means)?;
+        memory.write(self.scales, &scene.scales)?;
+        memory.write(self.quats, &scene.quats)?;
+        memory.write(self.opacities, &scene.opacities)?;
+        memory.write(self.sh_coeffs, &scene.sh_coeffs)
     }
 
     pub fn read(&self, memory: &Resident) -> Result<Scene> {

@@ -1,7 +1,7 @@
 use crate::prelude::*;
 use zipsplat::stages::{
     FrameShape,
-    loss::{Loss, record_loss, record_masked, record_masked_gradient},
+    loss::{Loss, record_loss, record_mask},
 };
 use zipsplat_reference::loss::gradient as reference;
 
@@ -180,9 +180,9 @@ impl Values for Problem {
         let height = (self.frames.len() / (3 * WIDTH)) as u32;
         let shape = FrameShape { cameras: 1, width: WIDTH as u32, height };
         let (pixels, masks) = (self.frames.len() / 3, self.masks.as_ref().map(|masks| trial.input(masks)));
-        let masked = masks.map(|masks| record_masked(&mut trial.rec, [frames, targets, masks], pixels));
+        let masked = masks.map(|masks| record_mask(&mut trial.rec, frames, Some(targets), masks, pixels));
         let found = record_loss(&mut trial.rec, self.loss, masked.unwrap_or(frames), targets, shape, 3, 1.0);
-        masks.iter().for_each(|masks| record_masked_gradient(&mut trial.rec, found.d_frames, *masks, pixels));
+        masks.map(|masks| record_mask(&mut trial.rec, found.d_frames, None, masks, pixels));
         Ok(trial.results([found.value, found.d_frames])?.concat())
     }
 

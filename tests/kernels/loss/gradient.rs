@@ -1,7 +1,7 @@
 use crate::case::*;
 use zipsplat::gpu::Recorder;
 use zipsplat::stages::FrameShape;
-use zipsplat::stages::loss::{Loss, record_loss, record_masked, record_masked_gradient};
+use zipsplat::stages::loss::{Loss, record_loss, record_mask};
 use zipsplat_tests::{golden::interleaved, reference::loss::gradient as reference};
 
 const LOSSES: [(Loss, &str); 4] =
@@ -36,11 +36,11 @@ impl Pictures {
         let words =
             self.masks.chunks(4).map(|four| four.iter().rev().fold(0, |word, byte| word << 8 | u32::from(*byte)));
         let masks = (!self.masks.is_empty()).then(|| case.input(&words.collect::<Vec<_>>()));
-        let masked = masks.map(|masks| record_masked(&mut case.rec, [frames, targets, masks], self.masks.len()));
+        let masked = masks.map(|masks| record_mask(&mut case.rec, frames, Some(targets), masks, self.masks.len()));
         let frames = masked.unwrap_or(frames);
         let found = record_loss(&mut case.rec, loss, frames, targets, self.shape, channels, scale);
         if let Some(masks) = masks {
-            record_masked_gradient(&mut case.rec, found.d_frames, masks, self.masks.len());
+            record_mask(&mut case.rec, found.d_frames, None, masks, self.masks.len());
         }
         case.results([found.value, found.d_frames]).unwrap()
     }
@@ -163,7 +163,7 @@ fn parts_of_large_masks_begin_where_bindings_may() {
     let (mut rec, pixels) = (Recorder::new(device().limits()), 6000 * 4000);
     let [frames, targets] = ["frames", "targets"].map(|name| rec.tensor::<f32>(name, 3 * pixels));
     let masks = rec.tensor::<u32>("masks", pixels / 4);
-    record_masked(&mut rec, [frames, targets, masks], pixels);
+    record_mask(&mut rec, frames, Some(targets), masks, pixels);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 use crate::case::*;
 use zipsplat::stages::render::{
-    CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
+    CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, SceneTensors, camera_rows, record_with_gradients,
 };
 use zipsplat_tests::reference::render::backward::{Direction, Drawing, Weights, along};
 use zipsplat_tests::reference::render::rasterize::render;
@@ -68,15 +68,16 @@ impl How<'_> {
             len: scene.len(),
             sh_degree: scene.sh_degree,
         };
-        let d = SceneGradients {
+        let d = SceneTensors {
             means: case.output::<[f32; 3]>(scene.len()),
             scales: case.output::<[f32; 3]>(scene.len()),
             quats: case.output::<[f32; 4]>(scene.len()),
             opacities: case.output::<f32>(scene.len()),
             sh_coeffs: case.output::<[f32; 3]>(scene.sh_coeffs.len()),
+            ..tensors
         };
         let d_cameras = case.output::<[f32; CAMERA_NUMBERS]>(cameras.len());
-        for tensor in [d.means, d.scales, d.quats, d.opacities, d.sh_coeffs, d_cameras] {
+        for tensor in d.all().into_iter().chain([d_cameras]) {
             case.rec.fill(tensor, self.before.to_bits());
         }
         let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();

@@ -1,6 +1,7 @@
 mod checkpoint;
 mod exposure;
 mod masks;
+mod memory;
 mod opened;
 
 use std::time::Duration;

@@ -220,7 +220,6 @@ impl Render {
             background: self.background,
             antialiased: self.input.antialiased.given(),
             near: None,
-            layout: None,
         }
     }
 

@@ -4,7 +4,7 @@ use super::{Kept, Refinement};
 use crate::{
     Error, Result,
     gpu::Profile,
-    refine::views::View,
+    refine::{Exposure, views::View},
     types::{ColorTransform, Image},
 };
 
@@ -50,6 +50,16 @@ impl Refinement<'_> {
         let begin = Instant::now();
         self.gaussians.step(&views, [0.0; 2])?;
         Ok(begin.elapsed())
+    }
+
+    /// Allocates the memory of the last step with the largest photo: earlier steps need less.
+    pub(super) fn reserve(&mut self) -> Result<()> {
+        let factor = self.schedule.factor(self.schedule.steps - 1, self.shortest());
+        let pixels = |i: &&usize| self.photos.size(**i, factor).into_iter().map(u64::from).product::<u64>();
+        let Some(largest) = self.training.iter().max_by_key(pixels).copied() else { return Ok(()) };
+        let views = self.photos.views(self.cameras.all(), &[largest], &[], factor)?;
+        let exposed = self.options.exposure == Exposure::On && self.first_exposed < self.schedule.steps;
+        self.gaussians.reserve(&views[0], exposed)
     }
 
     fn first_views(&mut self) -> Result<Vec<View>> {

@@ -5,7 +5,7 @@ use crate::{
     gpu::{Element, Recorder, ResidentLayout, Tensor},
     kernels::{gaussians as kernels, ops::Gelu},
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
-    stages::{Architecture, SceneGradients, SceneTensors},
+    stages::{Architecture, SceneTensors},
 };
 
 pub struct Head {
@@ -78,7 +78,7 @@ impl Head {
     }
 
     /// Returns the token gradient, `[count, width + color_width]` f32.
-    pub fn record_backward(&self, rec: &mut Recorder, kept: &HeadKept, d_gaussians: &SceneGradients) -> Tensor {
+    pub fn record_backward(&self, rec: &mut Recorder, kept: &HeadKept, d_gaussians: &SceneTensors) -> Tensor {
         rec.scope("head backward", |rec| {
             let [first, second, third] = &self.transposed;
             let d_raw = self.activate_backward(rec, kept, d_gaussians, third.inner);
@@ -92,7 +92,7 @@ impl Head {
         })
     }
 
-    fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneGradients, stride: usize) -> Rows {
+    fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneTensors, stride: usize) -> Rows {
         let bases = (self.sh_degree + 1).pow(2);
         let (group, width) = (self.gaussians_per_token, 11 + 3 * bases);
         let d_raw = Rows::scratch(rec, "d_raw", kept.raw.count, stride, Element::F32);

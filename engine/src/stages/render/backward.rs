@@ -2,8 +2,7 @@
 //! in order, without atomics.
 
 use super::{
-    Depth, FrameShape, RenderOptions, RenderOutputs, SceneGradients, SceneTensors, draw, intersect::TileLists,
-    project::Splats,
+    Depth, FrameShape, RenderOptions, RenderOutputs, SceneTensors, draw, intersect::TileLists, project::Splats,
 };
 use crate::{
     gpu::{Recorder, Tensor},
@@ -17,7 +16,7 @@ use crate::{
 /// Tensors to accumulate gradients in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gradients {
-    pub scene: Option<SceneGradients>,
+    pub scene: Option<SceneTensors>,
     /// `[cameras, 10]` f32: w x, y, z, v x, y, z for the update pose o (exp(w^), v) of
     /// camera-to-world; fx, fy, cx, cy.
     pub cameras: Option<Tensor>,
@@ -53,8 +52,7 @@ impl SplatGradients {
 /// backward pass. Exceeded capacity accumulates nothing.
 ///
 /// # Panics
-/// If `options` has outputs without gradients: normals, token colors, a pixel layout, expected
-/// depth without alpha.
+/// If `options` has outputs without gradients: normals, token colors, expected depth without alpha.
 #[expect(clippy::too_many_arguments)]
 pub fn record_with_gradients(
     rec: &mut Recorder,
@@ -67,7 +65,6 @@ pub fn record_with_gradients(
     gradients: &Gradients,
 ) -> (RenderOutputs, SplatGradients) {
     assert!(!options.normals && options.token_group.is_none(), "normals and token colors have no gradient");
-    assert!(options.layout.is_none(), "pixels of another layout have no gradient");
     assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
     let (splats, lists, frames) = rec.scope("render", |rec| {
         let (splats, lists, frames) = draw(rec, scene, cameras, shape, options, capacity);
@@ -81,8 +78,7 @@ pub fn record_with_gradients(
         let slots = backward.rasterize(rec, frames, d_frames);
         backward.splats(rec, &slots, gradients)
     });
-    let outputs = RenderOutputs { frames, pixels: frames, status: lists.status };
-    (outputs, SplatGradients { conics: splats.conics, d_pairs })
+    (RenderOutputs { frames, status: lists.status }, SplatGradients { conics: splats.conics, d_pairs })
 }
 
 struct Backward<'a> {

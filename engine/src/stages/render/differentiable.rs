@@ -1,6 +1,6 @@
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, RenderOutput,
-    RenderOutputs, SceneGradients, SceneTensors,
+    RenderOutputs, SceneTensors,
     backward::{SplatGradients, record_with_gradients},
     camera_rows, first_capacity,
     range::{check, drawable},
@@ -135,24 +135,21 @@ impl Differentiator {
         let shape = FrameShape { cameras: 1, width, height };
         let key = PlanKey { shape, backward: true, options: (*options, wanted) };
         let memory = self.memory.as_ref().expect("loaded before");
+        let record = |capacity| GradientPlan::new(&self.arena, memory, shape, key.options, capacity);
         // Plans that overflow accumulate nothing.
-        loop {
-            let plan =
-                self.plans.get(key, |capacity| GradientPlan::new(&self.arena, memory, shape, key.options, capacity))?;
+        let plan = self.plans.run(key, record, |plan| {
             plan.run.write(plan.cameras, &[camera_rows(camera)])?;
             plan.run.write(plan.d_frames, weights)?;
             plan.run.execute()?;
-            let needed = plan.outputs.needed(&plan.run)?;
-            if let Some(plan) = self.plans.fitting(needed)? {
-                if let Some(d_cameras) = plan.d_cameras {
-                    found.cameras.extend(plan.run.read::<[f32; CAMERA_NUMBERS]>(d_cameras)?);
-                }
-                if let Some(SplatGradients { conics, d_pairs }) = plan.d_splats {
-                    found.means2d.extend(SplatGradients::means2d(&plan.run.read(conics)?, &plan.run.read(d_pairs)?));
-                }
-                return Ok(());
-            }
+            plan.outputs.needed(&plan.run)
+        })?;
+        if let Some(d_cameras) = plan.d_cameras {
+            found.cameras.extend(plan.run.read::<[f32; CAMERA_NUMBERS]>(d_cameras)?);
         }
+        if let Some(SplatGradients { conics, d_pairs }) = plan.d_splats {
+            found.means2d.extend(SplatGradients::means2d(&plan.run.read(conics)?, &plan.run.read(d_pairs)?));
+        }
+        Ok(())
     }
 }
 
@@ -171,7 +168,7 @@ impl GradientPlan {
         let d_frames = rec.input::<f32>("d_frames", values);
         let d_cameras = wanted.cameras.then(|| rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1));
         d_cameras.iter().for_each(|tensor| rec.fill(*tensor, 0));
-        let gradients = Gradients { scene: wanted.scene.then(|| memory.scene_gradients()), cameras: d_cameras };
+        let gradients = Gradients { scene: wanted.scene.then_some(memory.gradients), cameras: d_cameras };
         let given = |_: &mut Recorder, _| d_frames;
         let (outputs, splats) =
             record_with_gradients(&mut rec, scene, cameras, shape, &options, capacity, given, &gradients);
@@ -192,19 +189,9 @@ impl Memory {
     }
 
     fn write(&self, scene: &Scene) -> Result<()> {
-        let Self { resident, scene: to, gradients: d } = self;
-        resident.write(to.means, &scene.means)?;
-        resident.write(to.scales, &scene.scales)?;
-        resident.write(to.quats, &scene.quats)?;
-        resident.write(to.opacities, &scene.opacities)?;
-        resident.write(to.sh_coeffs, &scene.sh_coeffs)?;
-        let zero = |tensor: Tensor| resident.write(tensor, &vec![0u8; tensor.bytes() as usize]);
-        [d.means, d.scales, d.quats, d.opacities, d.sh_coeffs].into_iter().try_for_each(zero)
-    }
-
-    fn scene_gradients(&self) -> SceneGradients {
-        let SceneTensors { means, scales, quats, opacities, sh_coeffs, .. } = self.gradients;
-        SceneGradients { means, scales, quats, opacities, sh_coeffs }
+        self.scene.write(&self.resident, scene)?;
+        let zero = |tensor: Tensor| self.resident.write(tensor, &vec![0u8; tensor.bytes() as usize]);
+        self.gradients.all().into_iter().try_for_each(zero)
     }
 }
 

@@ -1,6 +1,8 @@
 //! Pipelined rendering: the device draws ahead of the host.
 
-use super::{CameraRows, FrameShape, RenderOptions, RenderOutput, Renderer, camera_rows, range::check};
+use super::{
+    CameraRows, FrameShape, RenderOptions, RenderOutput, Renderer, camera_rows, planned::Destination, range::check,
+};
 use crate::{Error, Result, gpu::Arena, types::Camera};
 use std::{collections::VecDeque, ops::Range};
 
@@ -15,7 +17,7 @@ pub(super) fn pictures_per_batch(most: usize, gaussians: usize, [width, height]:
 struct Flight {
     cameras: Range<usize>,
     shape: FrameShape,
-    turn: usize,
+    destination: Destination,
 }
 
 impl Renderer {
@@ -64,7 +66,8 @@ impl Renderer {
             if flights.len() == Arena::LANES {
                 self.land(&mut flights, rows, options, done)?;
             }
-            let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % Arena::LANES };
+            let destination = Destination::Host(turn % Arena::LANES);
+            let flight = Flight { cameras: cameras.clone(), shape: *shape, destination };
             match self.start(&flight, rows, options) {
                 Ok(()) => flights.push_back(flight),
                 Err(Error::Memory { .. }) => {
@@ -83,7 +86,7 @@ impl Renderer {
     }
 
     fn start(&mut self, flight: &Flight, rows: &[CameraRows], options: &RenderOptions) -> Result<()> {
-        let plan = self.plan(flight.shape, options, flight.turn)?;
+        let plan = self.plan(flight.shape, options, flight.destination)?;
         plan.run.write(plan.cameras, &rows[flight.cameras.clone()])?;
         plan.run.start()
     }
@@ -107,13 +110,14 @@ impl Renderer {
     }
 
     fn finish(&mut self, flight: &Flight, rows: &[CameraRows], options: &RenderOptions) -> Result<Vec<RenderOutput>> {
-        let Flight { cameras, shape, turn } = flight;
-        let plan = self.plan(*shape, options, *turn)?;
+        let Flight { cameras, shape, destination } = flight;
+        let plan = self.plan(*shape, options, *destination)?;
         plan.run.finish()?;
         let needed = plan.outputs.needed(&plan.run)?;
+        self.intersections = needed;
         match self.plans.fitting(needed)? {
             Some(plan) => plan.read(),
-            None => self.render_batch(&rows[cameras.clone()], (shape.width, shape.height), options, *turn),
+            None => self.render_batch(&rows[cameras.clone()], (shape.width, shape.height), options, *destination),
         }
     }
 
@@ -126,7 +130,8 @@ impl Renderer {
         done: &mut dyn FnMut(usize, RenderOutput) -> Result<()>,
     ) -> Result<()> {
         self.start_over()?;
-        let frames = self.render_alike(&rows[cameras.clone()], (shape.width, shape.height), options)?;
+        let size = (shape.width, shape.height);
+        let frames = self.render_alike(&rows[cameras.clone()], size, options, Destination::Host(0))?;
         cameras.zip(frames).try_for_each(|(i, frame)| done(i, frame))
     }
 }

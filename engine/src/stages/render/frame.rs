@@ -1,4 +1,3 @@
-use super::PixelLayout;
 use crate::types::{Image, NEAR, Scene, SkippedPass};
 use crate::{Error, Result};
 use std::{num::NonZeroU32, path::Path};
@@ -22,8 +21,6 @@ pub struct RenderOptions {
     pub antialiased: Option<bool>,
     /// Near plane in world units, positive, by default [`Scene::near`].
     pub near: Option<f32>,
-    /// Device layout, for [`super::Renderer::render_to`].
-    pub layout: Option<PixelLayout>,
 }
 
 impl Default for RenderOptions {
@@ -37,7 +34,6 @@ impl Default for RenderOptions {
             background: [0.0; 3],
             antialiased: None,
             near: None,
-            layout: None,
         }
     }
 }

@@ -26,7 +26,7 @@ use crate::{
 use intersect::TileLists;
 use project::Splats;
 
-pub use super::{FrameShape, SceneGradients, SceneTensors};
+pub use super::{FrameShape, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, SplatGradients, record_with_gradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
 pub(crate) use features::{FeatureRows, VECTOR, VECTORS_AT_ONCE, record_lift, record_pictures};
@@ -44,10 +44,8 @@ pub use scene::{DeviceScene, SceneMemory, SceneSource};
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32, the requested of RGB, alpha, depth, normals, token
-    /// colors.
+    /// colors; or pixels in a [`PixelLayout`].
     pub frames: Tensor,
-    /// Frames in [`RenderOptions::layout`].
-    pub pixels: Tensor,
     /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped.
     pub status: Tensor,
 }
@@ -55,9 +53,13 @@ pub struct RenderOutputs {
 impl RenderOutputs {
     /// Reads the required capacity, at most 2^32. Redraw if it exceeds the recorded one.
     pub fn needed(&self, run: &Run) -> Result<usize> {
-        let status: Vec<u32> = run.read(self.status)?;
-        Ok(if status[2] == 0 { status[1] as usize } else { 1 << 32 })
+        needed(run, self.status)
     }
+}
+
+pub(crate) fn needed(run: &Run, status: Tensor) -> Result<usize> {
+    let status: Vec<u32> = run.read(status)?;
+    Ok(if status[2] == 0 { status[1] as usize } else { 1 << 32 })
 }
 
 /// Renders `scene` by `cameras` of [`camera_rows`] with `capacity` intersections.
@@ -69,15 +71,29 @@ pub fn record(
     options: &RenderOptions,
     capacity: usize,
 ) -> RenderOutputs {
+    record_in(rec, scene, cameras, shape, options, capacity, None)
+}
+
+/// As [`record`], or with pixels in a layout for [`Run::present`].
+fn record_in(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    cameras: Tensor,
+    shape: FrameShape,
+    options: &RenderOptions,
+    capacity: usize,
+    layout: Option<PixelLayout>,
+) -> RenderOutputs {
     rec.scope("render", |rec| {
-        let (_, lists, frames) = draw(rec, scene, cameras, shape, options, capacity);
-        let pixels = pack::record(rec, frames, options.layout.unwrap_or(PixelLayout::RgbaF32));
-        match options.layout {
-            Some(_) => rec.keep(pixels),
-            None => rec.output(frames),
+        let (_, lists, mut frames) = draw(rec, scene, cameras, shape, options, capacity);
+        if let Some(layout) = layout {
+            frames = pack::record(rec, frames, layout);
+            rec.keep(frames);
+        } else {
+            rec.output(frames);
         }
         rec.output(lists.status);
-        RenderOutputs { frames, pixels, status: lists.status }
+        RenderOutputs { frames, status: lists.status }
     })
 }
 

@@ -1,6 +1,7 @@
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::Pack,
+    ops::row_chunks,
 };
 
 /// Pixel layout.
@@ -20,24 +21,20 @@ impl PixelLayout {
     }
 }
 
-const PART: usize = 64;
-
 pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) -> Tensor {
     if layout == PixelLayout::RgbaF32 {
         return frames;
     }
     let pixels = frames.bytes() as usize / PixelLayout::RgbaF32.bytes();
     let packed = rec.tensor::<u32>("packed", pixels);
-    let part = (rec.limits().max_binding_bytes as usize / PixelLayout::RgbaF32.bytes() / PART * PART).max(PART);
-    for first in (0..pixels).step_by(part) {
-        let count = part.min(pixels - first);
+    for part in row_chunks(rec, pixels, &[size_of::<[f32; 4]>(), size_of::<u32>()]) {
         let kernel = Pack {
-            frames: frames.slice::<[f32; 4]>(first, count),
-            packed: packed.slice::<u32>(first, count),
-            count: count as u32,
+            frames: frames.slice::<[f32; 4]>(part.start, part.len()),
+            packed: packed.slice::<u32>(part.start, part.len()),
+            count: part.len() as u32,
             blue_first: layout == PixelLayout::Bgra8,
         };
-        rec.dispatch(kernel, count);
+        rec.dispatch(kernel, part.len());
     }
     packed
 }

@@ -27,7 +27,7 @@ struct Entry<K, P> {
     plan: P,
 }
 
-impl<K: PartialEq, P> PlanCache<K, P> {
+impl<K: Copy + PartialEq, P> PlanCache<K, P> {
     pub fn new(limits: &Limits, capacity: usize) -> Self {
         Self { entries: Vec::new(), most: PLANS, max_binding_bytes: limits.max_binding_bytes, capacity }
     }
@@ -58,6 +58,23 @@ impl<K: PartialEq, P> PlanCache<K, P> {
         };
         self.entries.push(entry);
         Ok(&mut self.entries.last_mut().expect("just pushed").plan)
+    }
+
+    /// Runs the plan of `key`, recorded with more capacity after each overflow, and returns it. `run`
+    /// returns the intersections.
+    pub fn run(
+        &mut self,
+        key: PlanKey<K>,
+        record: impl Fn(usize) -> Result<P>,
+        mut run: impl FnMut(&mut P) -> Result<usize>,
+    ) -> Result<&mut P> {
+        loop {
+            let needed = run(self.get(key, &record)?)?;
+            if self.fitting(needed)?.is_some() {
+                break;
+            }
+        }
+        Ok(&mut self.entries.last_mut().expect("it fits").plan)
     }
 
     /// Returns the last used plan if `needed` intersections fit. Otherwise drops it, and the next

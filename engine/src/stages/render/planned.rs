@@ -1,6 +1,6 @@
 use super::{
-    CameraRows, DeviceScene, FrameShape, PlanKey, RenderOptions, RenderOutput, RenderOutputs, SceneTensors,
-    first_capacity, flights::pictures_per_batch, planned_capacity, record,
+    CameraRows, DeviceScene, FrameShape, PixelLayout, PlanKey, RenderOptions, RenderOutput, RenderOutputs,
+    SceneTensors, first_capacity, flights::pictures_per_batch, planned_capacity, record, record_in,
 };
 use crate::{
     Result,
@@ -10,8 +10,16 @@ use crate::{
 /// Fills a GPU; CPUs cache best with one.
 const GPU_TOGETHER: usize = 8;
 
-/// With the arena's lane.
-pub(super) type RenderKey = PlanKey<(RenderOptions, usize)>;
+/// Destination of a plan's pictures.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Destination {
+    /// The host, from a lane of the arena.
+    Host(usize),
+    /// An application's image or buffer on the device.
+    Device(PixelLayout),
+}
+
+pub(super) type RenderKey = PlanKey<(RenderOptions, Destination)>;
 
 pub(super) struct RenderPlan {
     key: RenderKey,
@@ -44,18 +52,24 @@ pub(super) fn batch_size(limits: &Limits) -> usize {
 
 impl RenderPlan {
     pub fn new(arena: &Arena, scene: &DeviceScene, key: RenderKey, capacity: usize) -> Result<Self> {
-        let (options, lane) = key.options;
+        let (options, destination) = key.options;
+        let (lane, layout) = match destination {
+            Destination::Host(lane) => (lane, None),
+            Destination::Device(layout) => (0, Some(layout)),
+        };
         let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
-        let outputs = record(&mut rec, scene.tensors(), cameras, key.shape, &options, capacity);
+        let outputs = record_in(&mut rec, scene.tensors(), cameras, key.shape, &options, capacity, layout);
         let run = Run::in_arena(arena, lane, rec.finish()?, [scene.resident().clone()])?.in_flight()?;
         Ok(Self { key, scene: *scene.tensors(), run, cameras, outputs })
     }
 
+    /// Reads the pictures of a plan for the host.
     pub fn read(&self) -> Result<Vec<RenderOutput>> {
+        let (options, Destination::Host(_)) = self.key.options else { return Ok(Vec::new()) };
         let values: Vec<f32> = self.run.read(self.outputs.frames)?;
         let FrameShape { cameras, width, height } = self.key.shape;
-        let frame = |values| RenderOutput::from_channels(width, height, values, &self.key.options.0);
+        let frame = |values| RenderOutput::from_channels(width, height, values, &options);
         if cameras == 1 {
             return Ok(vec![frame(values)]);
         }

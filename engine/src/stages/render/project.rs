@@ -2,6 +2,7 @@ use super::{FrameShape, RenderOptions, SceneTensors};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::{Normals, Project},
+    ops::row_chunks,
     types::{Camera, Pose},
 };
 use glam::DVec4;
@@ -32,9 +33,6 @@ pub(super) struct Splats {
     pub indices: Tensor,
 }
 
-/// Aligns parts in every tensor to 256 bytes.
-const PART: usize = 64;
-
 pub(super) fn record(
     rec: &mut Recorder,
     scene: &SceneTensors,
@@ -55,10 +53,8 @@ pub(super) fn record(
         indices: tensor(rec, "indices", 1),
     };
     let stride = (scene.sh_degree as usize + 1).pow(2);
-    let largest = [16, 12 * stride, 12 * shape.cameras].into_iter().fold(0, usize::max);
-    let part = (rec.limits().max_binding_bytes as usize / largest / PART * PART).max(PART);
-    for first in (0..scene.len).step_by(part) {
-        let len = part.min(scene.len - first);
+    for part in row_chunks(rec, scene.len, &[4, 16, 12 * stride, 12 * shape.cameras]) {
+        let (first, len) = (part.start, part.len());
         let pair = |tensor: Tensor, words: usize| {
             tensor.slice::<u32>(words * first * shape.cameras, words * len * shape.cameras)
         };

@@ -1,7 +1,7 @@
 use super::{
     CameraRows, DeviceScene, FrameShape, PixelLayout, PlanCache, PlanKey, RenderOptions, RenderOutput, SceneMemory,
     SceneTensors, camera_rows, first_capacity,
-    planned::{RenderPlan, batch_size},
+    planned::{Destination, RenderKey, RenderPlan, batch_size},
     range::check,
     scene::{SceneSource, used_degree},
 };
@@ -16,8 +16,10 @@ pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
     uploaded: Option<SceneMemory>,
-    pub(super) plans: PlanCache<(RenderOptions, usize), RenderPlan>,
-    intersections: usize,
+    pub(super) plans: PlanCache<(RenderOptions, Destination), RenderPlan>,
+    /// As given; 0 derives it from the scene.
+    initial_capacity: usize,
+    pub(super) intersections: usize,
     cameras_at_once: usize,
     pub(super) batch_size: usize,
 }
@@ -30,7 +32,7 @@ impl Renderer {
 
     /// Sets the initial intersections per image; 0 derives them.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
-        Self { plans: PlanCache::new(device.limits(), capacity), ..Self::in_arena(&Arena::new(device)) }
+        Self { initial_capacity: capacity, ..Self::in_arena(&Arena::new(device)) }
     }
 
     /// Creates a renderer in a shared arena, or its own if that is busy.
@@ -40,6 +42,7 @@ impl Renderer {
             scene: None,
             uploaded: None,
             plans: PlanCache::new(arena.device().limits(), 0),
+            initial_capacity: 0,
             intersections: 0,
             cameras_at_once: usize::MAX,
             batch_size: batch_size(arena.device().limits()),
@@ -145,7 +148,8 @@ impl Renderer {
                 (0..cameras.len()).filter(|&i| (cameras[i].intrinsics.width, cameras[i].intrinsics.height) == size);
             let indices: Vec<usize> = alike.collect();
             let rows: Vec<CameraRows> = indices.iter().map(|&i| camera_rows(&cameras[i])).collect();
-            for (index, frame) in indices.into_iter().zip(self.render_alike(&rows, size, options)?) {
+            let drawn = self.render_alike(&rows, size, options, Destination::Host(0))?;
+            for (index, frame) in indices.into_iter().zip(drawn) {
                 frames[index] = Some(frame);
             }
         }
@@ -155,6 +159,11 @@ impl Renderer {
     /// Intersections of the last rendering.
     pub fn intersections(&self) -> usize {
         self.intersections
+    }
+
+    /// Intersections per image for which new plans have memory; 0 before the first.
+    pub fn capacity(&self) -> usize {
+        self.plans.capacity
     }
 
     /// Skipped effects, with reasons.
@@ -177,25 +186,23 @@ impl Renderer {
             background: options.background,
             antialiased: options.antialiased,
             near: options.near,
-            layout: Some(layout),
             ..RenderOptions::default()
         };
         check(std::slice::from_ref(camera), &options)?;
         let _claim = self.claim();
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_alike(&[camera_rows(camera)], (width, height), &options)?;
-        let plan = self.plan(FrameShape { cameras: 1, width, height }, &options, 0)?;
-        plan.run.present(plan.outputs.pixels, target)
+        self.render_alike(&[camera_rows(camera)], (width, height), &options, Destination::Device(layout))?;
+        let plan = self.plan(FrameShape { cameras: 1, width, height }, &options, Destination::Device(layout))?;
+        plan.run.present(plan.outputs.frames, target)
     }
 
     /// Profiles one camera by kernel.
     pub fn profile(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Profile> {
         check(std::slice::from_ref(camera), options)?;
         let _claim = self.claim();
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_alike(&[camera_rows(camera)], size, options)?;
-        let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
-        let plan = self.plan(shape, options, 0)?;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        self.render_alike(&[camera_rows(camera)], (width, height), options, Destination::Host(0))?;
+        let plan = self.plan(FrameShape { cameras: 1, width, height }, options, Destination::Host(0))?;
         plan.run.write(plan.cameras, &[camera_rows(camera)])?;
         plan.run.profile()
     }
@@ -205,6 +212,7 @@ impl Renderer {
         cameras: &[CameraRows],
         size: (u32, u32),
         options: &RenderOptions,
+        destination: Destination,
     ) -> Result<Vec<RenderOutput>> {
         let bytes_each = [12 * self.gaussians(), 4 * options.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
@@ -213,7 +221,7 @@ impl Renderer {
         let mut others = true;
         while !left.is_empty() {
             let (batch, behind) = left.split_at(left.len().min(self.cameras_at_once).min(most));
-            match self.render_batch(batch, size, options, 0) {
+            match self.render_batch(batch, size, options, destination) {
                 Ok(drawn) => {
                     frames.extend(drawn);
                     left = behind;
@@ -237,29 +245,43 @@ impl Renderer {
         cameras: &[CameraRows],
         (width, height): (u32, u32),
         options: &RenderOptions,
-        turn: usize,
+        destination: Destination,
     ) -> Result<Vec<RenderOutput>> {
         let shape = FrameShape { cameras: cameras.len(), width, height };
-        loop {
-            let plan = self.plan(shape, options, turn)?;
+        let (key, scene) = self.key(shape, options, destination)?;
+        let record = |capacity| RenderPlan::new(&self.arena, &scene, key, capacity);
+        let plan = self.plans.run(key, record, |plan| {
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
             self.intersections = plan.outputs.needed(&plan.run)?;
-            if let Some(plan) = self.plans.fitting(self.intersections)? {
-                return if options.layout.is_some() { Ok(Vec::new()) } else { plan.read() };
-            }
-        }
+            Ok(self.intersections)
+        })?;
+        plan.read()
     }
 
-    pub(super) fn plan(&mut self, shape: FrameShape, options: &RenderOptions, turn: usize) -> Result<&mut RenderPlan> {
-        let Some(scene) = &self.scene else {
-            return Err(Error::argument("scene to render", "none", "one that was loaded before"));
-        };
-        let key = PlanKey { shape, backward: false, options: (scene.fill_in(options), turn) };
+    pub(super) fn plan(
+        &mut self,
+        shape: FrameShape,
+        options: &RenderOptions,
+        destination: Destination,
+    ) -> Result<&mut RenderPlan> {
+        let (key, scene) = self.key(shape, options, destination)?;
+        self.plans.get(key, |capacity| RenderPlan::new(&self.arena, &scene, key, capacity))
+    }
+
+    fn key(
+        &mut self,
+        shape: FrameShape,
+        options: &RenderOptions,
+        destination: Destination,
+    ) -> Result<(RenderKey, DeviceScene)> {
+        let none = || Error::argument("scene to render", "none", "one that was loaded before");
+        let scene = self.scene.clone().ok_or_else(none)?;
         if self.plans.capacity == 0 {
-            self.plans.capacity = first_capacity(scene.len());
+            let derived = first_capacity(scene.len());
+            self.plans.capacity = if self.initial_capacity == 0 { derived } else { self.initial_capacity };
         }
-        self.plans.get(key, |capacity| RenderPlan::new(&self.arena, scene, key, capacity))
+        Ok((PlanKey { shape, backward: false, options: (scene.fill_in(options), destination) }, scene))
     }
 
     fn forget_plans(&mut self) {
