@@ -2,7 +2,7 @@
 //
 // PairIndices, TileOffsets, XyOpacities, Conics as in render/rasterize
 // Features [rows, VECTORS, 4] f32; a row belongs to `group` consecutive Gaussians
-// Pictures [H, W, VECTORS, 4] f32
+// Pictures [rows, W, VECTORS, 4] f32, from first_tile_row on
 //
 // Draws one camera. Pixels and runs as in render/rasterize.
 #version 460
@@ -57,7 +57,7 @@ void main() {
         uvec2 at = position(run);
         if (any(greaterThanEqual(at, size))) continue;
         for (uint k = 0; k < VECTORS; k++) {
-            pictures[(at.y * size.x + at.x) * VECTORS + k] = sums[run * VECTORS + k];
+            pictures[((at.y - first_tile_row * TILE) * size.x + at.x) * VECTORS + k] = sums[run * VECTORS + k];
         }
     }
 }

@@ -228,3 +228,12 @@ fn lifting_takes_the_planned_memory_in_small_bindings() {
         assert_eq!(found, lift(&scene, &[camera], 1, &[of_pixels]));
     }
 }
+
+#[test]
+fn pictures_beyond_a_binding_are_drawn_in_bands() {
+    let (scene, camera) = (random_scene(2_000, 0, 0.1), camera(130, 200));
+    let features = Features { values: random(3, 2_000 * 5), channels: 5, group: 1 };
+    let draw = |device: &Device| FeatureRenderer::new(device).draw(&scene, &features, &[camera]).unwrap();
+    // Rows of 8,320 bytes: bands of 48 rows.
+    assert_eq!(draw(&open(512 << 10)), draw(device()));
+}

@@ -7,6 +7,7 @@ use crate::{
         features::{Draw, Gather, Lift},
         limits::TILE,
     },
+    ops::row_chunks,
 };
 
 /// Channels per vector.
@@ -99,26 +100,31 @@ pub(crate) fn record_pictures(
         let lanes = rec.limits().subgroup_size;
         let runs = if rec.limits().cpu { TILE * TILE / lanes } else { (GPU_PIXELS / lanes).max(1) };
         let [x, y] = shape.grid();
-        let groups = [x * (TILE * TILE / (lanes * runs)), y, 1];
-        let pixels = shape.pixels();
+        let row = shape.width as usize * VECTORS_AT_ONCE;
+        let band = TILE as usize * row * size_of::<[f32; VECTOR]>();
         let flops = 2 * (capacity * VECTOR * VECTORS_AT_ONCE) as u64 * u64::from(TILE * TILE);
         let draw = |features: &Tensor| {
-            let pictures = rec.tensor::<[f32; VECTOR]>("pictures", pixels * VECTORS_AT_ONCE);
-            let kernel = Draw {
-                pair_indices: lists.pair_indices,
-                tile_offsets: lists.tile_offsets,
-                xy_opacities: splats.xy_opacities,
-                conics: splats.conics,
-                features: *features,
-                pictures,
-                size: [shape.width, shape.height],
-                grid: [x, y],
-                first_tile_row: 0,
-                group: group as u32,
-                runs,
-                vectors: VECTORS_AT_ONCE as u32,
-            };
-            rec.dispatch_groups(kernel, groups).flops(flops);
+            let pictures = rec.tensor::<[f32; VECTOR]>("pictures", shape.height as usize * row);
+            for tile_rows in row_chunks(rec, y as usize, &[band]) {
+                let first = tile_rows.start * TILE as usize;
+                let rows = (tile_rows.end * TILE as usize).min(shape.height as usize) - first;
+                let kernel = Draw {
+                    pair_indices: lists.pair_indices,
+                    tile_offsets: lists.tile_offsets,
+                    xy_opacities: splats.xy_opacities,
+                    conics: splats.conics,
+                    features: *features,
+                    pictures: pictures.slice::<[f32; VECTOR]>(first * row, rows * row),
+                    size: [shape.width, shape.height],
+                    grid: [x, y],
+                    first_tile_row: tile_rows.start as u32,
+                    group: group as u32,
+                    runs,
+                    vectors: VECTORS_AT_ONCE as u32,
+                };
+                let groups = [x * (TILE * TILE / (lanes * runs)), tile_rows.len() as u32, 1];
+                rec.dispatch_groups(kernel, groups).flops(flops * tile_rows.len() as u64 / u64::from(y));
+            }
             rec.output(pictures);
             pictures
         };
