@@ -19,7 +19,7 @@ pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {
     /// `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
-    fn beside(&self, name: &str) -> PathBuf {
+    pub fn beside(&self, name: &str) -> PathBuf {
         match self.0.file_stem() {
             Some(stem) if stem != "transforms" => {
                 let mut own = stem.to_owned();
