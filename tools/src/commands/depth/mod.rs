@@ -128,17 +128,19 @@ impl Depth {
         save_values(&self.output.join(VALUES), &predicted.depths, &names)?;
         let levels = self.save_pictures(&predicted.depths, &names)?;
         let points = predicted.points(self.max_points);
+        let cloud = self.output.join(POINTS);
         if predicted.cameras.is_some() {
-            let cloud = self.output.join(POINTS);
             write_points(&cloud, &points)?;
-            self.model.save(&frames, Some(&cloud))?;
-            let named = |(frame, file): (CaptureView, &PathBuf)| {
-                Ok(CaptureView { name: path_from(&self.output, file)?, ..frame })
+            let named = |(frame, file): (&CaptureView, &PathBuf)| {
+                Ok(CaptureView { name: path_from(&self.output, file)?, ..frame.clone() })
             };
-            let frames = frames.into_iter().zip(&predicted.photos).map(named).collect::<Result<Vec<_>>>()?;
-            write_frames(place, &frames, Some(POINTS))?;
+            let named = frames.iter().zip(&predicted.photos).map(named).collect::<Result<Vec<_>>>()?;
+            write_frames(place, &named, Some(POINTS))?;
         }
         folder.iter_mut().for_each(FrameFolder::keep);
+        if predicted.cameras.is_some() {
+            self.model.save(&frames, Some(&cloud))?;
+        }
         self.report(session, &predicted, levels, points.len(), errors.as_ref())
     }
 
