@@ -95,12 +95,13 @@ impl Refine {
             let expected = "--init points: estimated cameras are in another world than the scene";
             return Err(Error::argument(format!("--cameras {}", self.cameras.display()), "with a scene", expected));
         }
-        let photos = photos::list(session, files)?;
+        let photos = photos::list(session, files, false)?;
         if KnownCameras::to_find(&self.cameras) {
             panorama::refuse(&photos)?;
         }
-        let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
-        let photos = photos::kept(session, photos, Some(&poses), None)?;
+        let mut known = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
+        let photos = photos::kept(session, photos, Some(&mut known), None)?;
+        let KnownCameras { poses, found } = known;
         let masks = self.finding.masks();
         masks.as_ref().map_or(Ok(()), |masks| masks.check(&photos))?;
         let frames = poses.frames_of(&photos)?;

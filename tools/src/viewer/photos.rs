@@ -96,9 +96,9 @@ impl FromPhotos {
     ) -> Result<Photographed> {
         let unposed = poses.is_none_or(KnownCameras::to_find).then_some(&self.finding.search.masks);
         let (photos, folder) = self.reading.list(session, (paths, self.views), unposed, None)?;
-        let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
+        let mut known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
         let views = self.views.filter(|_| unposed.is_none());
-        let photos = photos::kept(session, photos, known.as_ref().map(|known| &known.poses), views)?;
+        let photos = photos::kept(session, photos, known.as_mut(), views)?;
         self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
         Ok(Photographed { photos, known, folder })
     }

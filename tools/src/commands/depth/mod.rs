@@ -186,15 +186,14 @@ impl Depth {
 
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<CaptureView>, Option<PathBuf>)>> {
         let Some(poses) = &self.cameras else { return Ok(None) };
-        let poses = Capture::open(poses)?;
+        let mut poses = Capture::open(poses)?;
+        poses.attach(files)?;
         let frames = poses.frames_of(files)?;
         if let Some(wide) = frames.iter().find(|frame| poses.views_of(frame).len() > 1) {
             let expected = format!("up to {MAX_VIEW_DEG} degrees; reconstruct and refine take wider ones");
             return Err(Error::argument(format!("field of view of {}", wide.name), "a wider lens", expected));
         }
-        let frames = frames.into_iter().zip(files);
-        let frames = frames.map(|(frame, file)| CaptureView { photo: Some(file.clone()), ..frame.clone() }).collect();
-        Ok(Some((frames, poses.points)))
+        Ok(Some((frames.into_iter().cloned().collect(), poses.points)))
     }
 
     /// Returns the levels per unit, of all pictures.

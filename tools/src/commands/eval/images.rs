@@ -97,7 +97,7 @@ impl ImageSets<'_> {
 
     fn pairs_of_folders(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
         let [ours, others] =
-            [self.first, self.second].map(|folder| photos::list(session, std::slice::from_ref(folder)));
+            [self.first, self.second].map(|folder| photos::list(session, std::slice::from_ref(folder), false));
         let (ours, mut others) = (ours?, others?);
         let mut pairs = Vec::new();
         let mut alone = Vec::new();
