@@ -187,6 +187,16 @@ fn photos_that_are_given_go_with_a_page() {
 }
 
 #[test]
+fn a_page_has_the_refined_scene() {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 3 --size 28x28 -o @/place").success();
+    let line = "view @/place/images --cameras @/place --weights @/micro.safetensors --input-size 28x28 --ratios 1";
+    let json = folder.run(&format!("{line} --refine=2 -o @/page.html --json")).json();
+    assert_eq!(json["gaussians"].as_array().map(Vec::len), Some(2));
+    assert!(folder.text("page.html").contains(r#""name":"refined""#));
+}
+
+#[test]
 fn pages_without_photos_show_turned_ones_upright() {
     let folder = folder();
     let jpeg = crate::photo(40, 30, 0).jpeg(90).expect("a photo");
