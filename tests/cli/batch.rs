@@ -152,6 +152,23 @@ fn what_cannot_be_done_is_refused_before_it_begins() {
     assert_eq!(folder.read("out/2.ply"), b"mine");
 }
 
+/// A record vouches for a scene of its size alone.
+#[test]
+fn scenes_that_others_edited_are_kept() {
+    let folder = captures();
+    let edited = "ply\nmine: no zipsplat\n";
+    for format in ["ply", "splat"] {
+        let line = format!("@/all/1 --format {format} -o @/{format}");
+        assert_eq!(numbers(batch(&folder, &line)), [1, 0, 0, 0]);
+        assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5"))), [1, 0, 0, 0]);
+        folder.write(&format!("{format}/1.{format}"), edited);
+        let refused = folder.run(&format!("reconstruct --each {WEIGHTS} {line}"));
+        refused.fails(3, &["file to replace", &format!("1.{format}"), "--overwrite"]);
+        assert_eq!(folder.text(&format!("{format}/1.{format}")), edited);
+        assert_eq!(numbers(batch(&folder, &format!("{line} --overwrite"))), [1, 0, 0, 0]);
+    }
+}
+
 #[test]
 fn a_missing_folder_in_a_list_fails_alone() {
     let folder = captures();

@@ -74,7 +74,7 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     let reconstruct = format!("reconstruct {shared} --weights @/micro.safetensors --input-size 28x28");
     for line in [
         format!("refine @/scene.ply {shared} --steps 1000000"),
-        format!("{reconstruct} --refine=1000000"),
+        format!("{reconstruct} --refine=1000000 --optimize-cameras --cameras-out @/cameras.json"),
         format!("{reconstruct} --refine=1000000 --refine-target tokens --world input-cameras"),
     ] {
         let is_written = |_: &Outcome| folder.path("best.ply").exists();
@@ -82,13 +82,15 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
         assert!(outcome.err.contains("best.ply: the best so far, after step "), "{}", outcome.err);
         assert!(outcome.err.contains("; the same command continues"), "{}", outcome.err);
         Scene::open(folder.path("best.ply")).expect("a whole scene");
+        assert_eq!(folder.path("cameras.json").exists(), !line.starts_with("refine @"), "{line}");
         outcome.fails(130, &["cancelled"]);
         folder.remove("best.ply");
         folder.remove("best.ply.checkpoint");
     }
 }
 
-/// COLMAP's cameras differ in each run, and converted photos are new files.
+/// Scenes replaced by the result and COLMAP's cameras differ in each run, and converted photos are
+/// new files.
 #[cfg(unix)]
 #[test]
 fn a_refinement_that_cannot_be_repeated_has_no_checkpoint() {
@@ -106,14 +108,15 @@ fn a_refinement_that_cannot_be_repeated_has_no_checkpoint() {
     folder.script("ffmpeg", &format!("#!/bin/sh\ncase \"$*\" in *ppm*) {ppm};; esac\n"));
     let find = "--cameras colmap --colmap @/colmap -o @/best.ply";
     let micro = "--weights @/micro.safetensors --input-size 28x28 --refine=1000000";
+    folder.scatter("best.ply", 300, 1, 0.1);
     for line in [
+        "refine @/best.ply @/place/images --cameras @/place --steps 1000000 -o @/best.ply --overwrite".to_owned(),
         format!("refine @/place/images {find} --init points --steps 1000000"),
         format!("reconstruct @/place/images {find} {micro}"),
         format!("reconstruct @/place/images @/a.heic --ffmpeg @/ffmpeg --cameras @/place {micro} -o @/best.ply"),
     ] {
-        let is_written = |_: &Outcome| folder.path("best.ply").exists();
+        let is_written = |outcome: &Outcome| outcome.err.contains("best.ply: the best so far, after step ");
         let outcome = cancelled_later(Duration::from_millis(100), &folder.line(&line), is_written);
-        assert!(outcome.err.contains("best.ply: the best so far, after step "), "{}", outcome.err);
         assert!(!outcome.err.contains("continues") && !folder.path("best.ply.checkpoint").exists(), "{line}");
         outcome.fails(130, &["cancelled"]);
         folder.remove("best.ply");

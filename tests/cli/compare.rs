@@ -64,6 +64,9 @@ fn what_cannot_be_compared_is_named() {
     folder.run("eval @/a @/small.png --lpips none").fails(3, &["a folder and a picture"]);
     folder.run("eval @/a @/photos --lpips none").fails(3, &["same name", "none in"]);
     folder.run("eval @/a/one.png @/nothing.png --lpips none").fails(3, &["nothing.png"]);
+    let early = "eval @/a/one.png @/small.png --lpips none";
+    folder.run(&format!("{early} --csv @/missing/x.csv")).fails(3, &["output folder", "missing"]);
+    folder.run(&format!("{early} --difference @/missing/x.png")).fails(3, &["output folder", "missing"]);
 }
 
 #[test]

@@ -279,6 +279,24 @@ fn colors_are_corrected_where_exposures_were_learned() {
     assert!(json["mean"]["color_corrected_psnr"].is_null() && json["refined"]["exposures"].is_null());
 }
 
+/// The camera file names more photos than the folder has.
+#[test]
+fn photos_of_the_folder_alone_are_compared() {
+    let folder = place();
+    folder.make("subset");
+    for i in 1..5 {
+        let [from, to] = ["place/images", "subset"].map(|place| folder.path(&format!("{place}/{i:03}.png")));
+        std::fs::copy(from, to).expect("copied");
+    }
+    let micro = "--weights @/micro.safetensors --input-size 28x28 --lpips none";
+    let json = folder.run(&format!("eval @/subset --cameras @/place/transforms.json --views 2 {micro} --json")).json();
+    let compared = json["views"].as_array().expect("rows").iter().map(|row| &row["view"]);
+    let mut names: Vec<_> =
+        compared.chain(json["inputs"].as_array().expect("names")).filter_map(|name| name.as_str()).collect();
+    names.sort_unstable();
+    assert_eq!(names, [1, 2, 3, 4].map(|i| format!("images/{i:03}.png")));
+}
+
 #[test]
 fn what_cannot_be_compared_is_refused() {
     let folder = place();

@@ -112,6 +112,26 @@ fn evaluations_and_reconstructions_take_known_depth() {
 }
 
 #[test]
+fn photos_of_equal_names_have_depth_of_their_own() {
+    let folder = place().with_depth();
+    for (i, name) in [(0, "left"), (3, "right")] {
+        let photo = folder.read(&format!("place/images/{i:03}.png"));
+        folder.write(&format!("place/{name}/000.png"), photo);
+        let listed = folder.text("place/transforms.json");
+        folder.write("place/transforms.json", listed.replace(&format!("images/{i:03}"), &format!("{name}/000")));
+    }
+    let photos = "@/place/left @/place/right";
+    let refine = format!("refine {photos} --cameras @/place/transforms.json --init points --steps 2 -o @/s.ply");
+    let shared = folder.run(&format!("{refine} --depth-loss @/place/depth"));
+    shared.fails(3, &["values of right/000.png", "000.npy, as of left/000.png"]);
+    let eval = "eval @/place --views 5 --weights @/micro.safetensors --input-size 28x28 --from-depth @/place/depth";
+    folder.run(eval).fails(3, &["values of right/000.png", "a file of its own"]);
+    folder.run(&format!("depth {photos} --weights @/da3.safetensors --input-size 42 -o @/predicted")).success();
+    let json = folder.run(&format!("{refine} --depth-loss @/predicted --json")).json();
+    assert_eq!(json["refined"]["depth_fraction"].as_f64(), Some(1.0), "{json}");
+}
+
+#[test]
 fn unusable_depth_is_named() {
     let folder = place();
     let fails = |options: &str, words: &[&str]| {

@@ -56,6 +56,42 @@ fn tries_end_where_all_are_found() {
 }
 
 #[test]
+fn lost_photos_do_not_take_the_cameras_of_others_of_their_name() {
+    let (folder, frames) = place();
+    let photos = ["left/000.png", "left/001.png", "right/000.png", "right/001.png"];
+    for (i, photo) in photos.into_iter().enumerate() {
+        folder.write(photo, folder.read(&format!("place/images/{i:03}.png")));
+    }
+    colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", crate::cameras::COPIES]);
+    let names: Vec<String> = (0..3).map(|i| format!("0/{i:06}.png")).collect();
+    let named: Vec<_> = names.iter().map(String::as_str).zip(frames.iter().map(|frame| &frame.camera)).collect();
+    model(&folder.path("colmap.model/0"), &named);
+    let find = "@/left @/right --cameras colmap --colmap @/colmap --json";
+    let micro = "--weights @/micro.safetensors --input-size 28x28";
+    for line in [
+        format!("reconstruct {find} {micro} --refine=1 -o @/scene.ply"),
+        format!("refine {find} --init points --steps 1 -o @/scene.ply"),
+        format!("view {find} {micro} --ratios 1 -o @/page.html"),
+    ] {
+        let outcome = folder.run(&line);
+        assert!(outcome.err.contains("without a camera: 001.png"), "{}", outcome.err);
+        let json = outcome.json();
+        assert!(line.starts_with("view") || json["photos"] == 3, "{json}");
+    }
+}
+
+/// COLMAP's text separates fields by spaces.
+#[test]
+fn names_that_a_colmap_model_cannot_hold_are_refused_first() {
+    let (folder, _) = place();
+    colmap(&folder, "unused", "3.8", OPTIONS_3, [""; 3]);
+    folder.write("place/images/left one/9.png", folder.read("place/images/000.png"));
+    let line = "cameras @/place/images --recursive --colmap @/unused -o @/c.json --colmap-model @/model";
+    folder.run(line).fails(3, &["name of a photo for COLMAP", "left one/9.png"]);
+    assert!(!folder.path("unused.args").exists() && !folder.path("model").exists());
+}
+
+#[test]
 fn four_fifths_of_many_photos_are_enough() {
     let (folder, frames) = place();
     let one = folder.read("place/images/000.png");

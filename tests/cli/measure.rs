@@ -308,3 +308,21 @@ python3 -c 'import json, sys; code, out, err = json.load(open("outcome")); print
     // Three ratios per number of views, two pools, one in fp32.
     assert_eq!((rows("| 1 | "), rows("| 2 | "), rows("| 200 | "), rows("| 102,000 | ")), (4, 5, 1, 1), "{tables}");
 }
+
+/// The second number of photos does not fit in memory.
+#[test]
+fn a_sweep_that_fails_writes_what_it_measured() {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 14 --size 84x84 -o @/place").success();
+    let options = "--ratio 1 --token-selection kmeans --max-gaussians-per-token 4 --refine 0 --precision fp32";
+    let line = format!(
+        "bench tradeoff @/place --weights @/micro.safetensors --input-size 84x84 {options} --warmup 0 --repeats 1 --targets 1 \
+         -o @/report"
+    );
+    let points = folder.run(&format!("{line} --views 12 --json")).json();
+    let limit = points[0]["peak_bytes"].as_u64().expect("bytes") - 1;
+    let outcome = folder.run(&format!("{line} --views 1,12 --max-memory {limit}"));
+    assert!(outcome.err.contains("points that were measured"), "{}", outcome.err);
+    outcome.fails(4, &["device memory are missing"]);
+    assert_eq!(folder.text("report/tradeoff.csv").lines().count(), 2);
+}

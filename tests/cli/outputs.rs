@@ -47,6 +47,13 @@ fn every_command_replaces_its_own_files_and_no_others() {
         std::fs::write(&path, "").expect("a file");
         folder.run(&line).success();
     }
+    for file in ["000.png", "contact.png"] {
+        folder.write(&format!("pictures/{file}"), "mine");
+        let line = format!("reconstruct @/photos {micro} --pictures @/pictures -o @/new.ply");
+        folder.run(&line).fails(3, &["file to replace", file, "--overwrite"]);
+        assert!(!folder.path("new.ply").exists(), "the scene comes first");
+        folder.remove(&format!("pictures/{file}"));
+    }
     // No author tag.
     let line = format!("reconstruct @/photos {micro} -o @/a.splat");
     folder.run(&line).success();

@@ -1,5 +1,6 @@
 use crate::Folder;
-use zipsplat::types::Image;
+use zipsplat::types::{Image, poses::write_transforms, read_world};
+use zipsplat_tests::{photos::with_orientation, scenes::camera};
 
 const LINE: &str = "--weights @/micro.safetensors --input-size 84x84 -o @/scene.ply";
 
@@ -44,4 +45,27 @@ fn photos_too_small_for_cameras_are_told() {
     folder.run(&line.replace("found.json", "found.txt")).fails(3, &["found.txt", ".json"]);
     folder.write("found.json", "another's");
     folder.run(&line).fails(3, &["file to replace", "found.json", "--overwrite"]);
+}
+
+/// Cameras beside the photos, and elsewhere.
+#[test]
+fn photos_that_are_given_tell_which_way_is_up() {
+    let folder = Folder::new();
+    let jpeg = crate::photo(40, 30, 0).jpeg(90).expect("a photo");
+    folder.write("images/photo.jpg", with_orientation(&jpeg, 6));
+    folder.make("elsewhere");
+    folder.scatter("points.ply", 50, 0, 0.1);
+    for place in ["images", "elsewhere"] {
+        let file = format!("{place}/c.json");
+        write_transforms(folder.path(&file), &[camera(40, 30)], &["photo.jpg"]).expect("a camera");
+        let photos = format!("@/images/photo.jpg --cameras @/{file} -o @/scene.ply");
+        for line in [
+            format!("reconstruct {photos} --weights @/micro.safetensors --input-size 28x28"),
+            format!("refine @/points.ply {photos} --steps 1"),
+        ] {
+            folder.run(&line).success();
+            let up = read_world(folder.path("scene.ply")).expect("a scene").and_then(|world| world.up);
+            assert!(up.is_some_and(|up| up.x.abs() > 0.99), "{line}: {up:?}");
+        }
+    }
 }

@@ -213,6 +213,10 @@ fn invalid_selections_and_values_name_themselves() {
     let scene = objects(&folder);
     picture(&folder, "masks/a.png", [255, 0]);
     picture(&folder, "empty/c.png", [255, 0]);
+    let alike = folder.text("cameras.json").replace("a.png", "left/a.png").replace("b.png", "right/a.png");
+    folder.write("alike.json", alike);
+    let shared = folder.run("lift @/scene.ply @/masks --cameras @/alike.json -o @/f.safetensors");
+    shared.fails(3, &["values of right/a.png", "a.png, as of left/a.png"]);
     let lift = "--cameras @/cameras.json -o @/f.safetensors";
     folder.run(&format!("lift @/scene.ply @/masks {lift}")).success();
     let select = "--cameras @/cameras.json -o @/out.ply";

@@ -49,6 +49,8 @@ fn videos_become_their_sharpest_frames() {
     let photo = zipsplat::types::Image::open(shade(&poses.frames[1])).expect("a photo");
     assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
     folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);
+    folder.run(&cameras.replace("transforms", "other")).success();
+    assert_eq!(folder.capture("other.json").frames[0].name, "other.frames/clip-00001.jpg");
     folder.run(&format!("{cameras} --overwrite")).success();
     assert!(!folder.path("frames/clip-1-00001.jpg").exists(), "frames of the same video are replaced");
     folder.remove("scene.ply");
@@ -101,7 +103,7 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
     let line = "cameras @/plain.mp4 @/day/plain.mp4 --views 6 --colmap @/colmap -o @/days/c.json --json";
     model(&folder.path("colmap.model/0"), &[("0/000004.jpg", &camera(64, 48))]);
     folder.run(line).json();
-    let frames = std::fs::read_dir(folder.path("days/frames")).expect("frames");
+    let frames = std::fs::read_dir(folder.path("days/c.frames")).expect("frames");
     let mut names: Vec<String> = frames.map(|frame| frame.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     assert_eq!(names.len(), 12);

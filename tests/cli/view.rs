@@ -11,9 +11,10 @@ use std::{
 };
 use zipsplat::{
     Edit,
-    types::{Scene, write_ply},
+    types::{Scene, poses::write_transforms, write_ply},
 };
 use zipsplat_cli::{Terminal, run};
+use zipsplat_tests::{photos::with_orientation, scenes};
 
 pub fn folder() -> Folder {
     let folder = Folder::new();
@@ -183,6 +184,30 @@ fn photos_that_are_given_go_with_a_page() {
     };
     assert_eq!(view(""), (Some(0), 0));
     assert_eq!(view("--photos @/place/images"), (Some(2), 2));
+}
+
+#[test]
+fn a_page_has_the_refined_scene() {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 3 --size 28x28 -o @/place").success();
+    let line = "view @/place/images --cameras @/place --weights @/micro.safetensors --input-size 28x28 --ratios 1";
+    let json = folder.run(&format!("{line} --refine=2 -o @/page.html --json")).json();
+    assert_eq!(json["gaussians"].as_array().map(Vec::len), Some(2));
+    assert!(folder.text("page.html").contains(r#""name":"refined""#));
+}
+
+#[test]
+fn pages_without_photos_show_turned_ones_upright() {
+    let folder = folder();
+    let jpeg = crate::photo(40, 30, 0).jpeg(90).expect("a photo");
+    folder.write("photo.jpg", with_orientation(&jpeg, 6));
+    write_transforms(folder.path("c.json"), &[scenes::camera(40, 30)], &["photo.jpg"]).expect("a camera");
+    folder.run("view @/scene.ply --cameras @/c.json -o @/page.html").success();
+    let page = folder.text("page.html");
+    let config: serde_json::Value =
+        serde_json::from_str(between(&page, "id=config type=application/json>", "</script>")).expect("JSON");
+    let camera = &config["cameras"][0];
+    assert!(camera["photo"].is_null() && camera["width"] == 30 && camera["height"] == 40, "{camera}");
 }
 
 #[test]

@@ -138,13 +138,13 @@ fn photo_spheres_are_cut_into_photos() {
     outcome.success();
     assert_eq!(folder.text("three.names").lines().count(), 14, "the views down are masked whole");
     let found: Vec<String> = folder.capture("found.json").frames.into_iter().map(|frame| frame.name).collect();
-    assert_eq!(found, ["frames/0-0.jpg", "frames/1-6.jpg"]);
+    assert_eq!(found, ["found.frames/0-0.jpg", "found.frames/1-6.jpg"]);
     assert!(folder.text("three.masks").contains("000013.jpg.png"));
-    let names = crate::names(&folder.path("frames"));
+    let names = crate::names(&folder.path("found.frames"));
     assert!(names.len() == 15 && names[0] == "0-0.jpg" && names[14] == "masks", "{names:?}");
     let photo = Image::open(folder.path("spheres/1.jpg")).expect("a photo");
     let lens = Lens { view: 5, ..lens };
-    let (view, cut) = (lens.undistort(&photo).expect("a view"), folder.path("frames/1-5.jpg"));
+    let (view, cut) = (lens.undistort(&photo).expect("a view"), folder.path("found.frames/1-5.jpg"));
     let cut_image = Image::open(&cut).expect("a photo");
     let off = view.rgb.iter().zip(&cut_image.rgb).map(|(a, b)| u32::from(a.abs_diff(*b))).sum::<u32>();
     assert!(off / (view.rgb.len() as u32) < 4, "{off}");

@@ -10,6 +10,7 @@ use crate::{
 use clap::{Args, ValueEnum};
 use std::{
     path::{Path, PathBuf},
+    sync::atomic::{AtomicUsize, Ordering},
     time::{Duration, Instant},
 };
 use zipsplat::{
@@ -191,8 +192,15 @@ impl InputSize {
         masks: Option<&Masks>,
         stage: &Stage<'_>,
     ) -> Result<PreparedPhotos> {
-        let read = photos::read(photos, known, masks, stage, |_, photo| Ok(photo))?;
-        let views = bounded_views(read.len(), |i| Ok(&read[i]), self.fitting, self.side)?;
+        let opened = AtomicUsize::new(0);
+        // Photos of different sizes may be opened twice.
+        let open = |i: usize| {
+            let photo = photos::open(&photos[i], known.get(i), masks)?;
+            let opened = 1 + opened.fetch_add(1, Ordering::Relaxed);
+            stage.reach((opened as f64 / photos.len() as f64).min(1.0))?;
+            Ok(photo)
+        };
+        let views = bounded_views(photos.len(), open, self.fitting, self.side)?;
         let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
         Ok(PreparedPhotos { photos: photos.to_vec(), views, known_cameras })
     }

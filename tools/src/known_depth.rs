@@ -2,11 +2,11 @@
 
 use crate::{
     depth::PredictorOptions,
-    lifted::values_file,
+    lifted::values_files,
     npy,
     options::ArithmeticOption,
     outputs::DEPTH_LEVELS,
-    photos,
+    photos::{self, unique_stems},
     released::open_depth,
     session::Session,
     stamp::{digest, stamp},
@@ -68,10 +68,10 @@ impl KnownDepth {
         let file = source.join(VALUES);
         let (kind, sources) = match (source.is_dir(), file.is_file()) {
             (true, true) => (DepthKind::Relative, read_values(&file, files, frames)?),
-            (true, false) => (
-                DepthKind::Metric,
-                frames.iter().map(|frame| values_file(source, &frame.name, &EXTENSIONS).map(Source::File)).collect(),
-            ),
+            (true, false) => {
+                let found = values_files(source, frames, &EXTENSIONS)?.into_iter();
+                (DepthKind::Metric, found.map(|file| file.map(Source::File)).collect())
+            }
             _ if source.extension().is_some_and(|extension| extension == "json") => {
                 (DepthKind::Metric, listed(source, frames)?)
             }
@@ -158,11 +158,13 @@ fn check_lens(option: &str, frame: &CaptureView) -> Result<()> {
     frame.lens.map_or(Ok(()), |_| Err(Error::argument(option, found, "photos of a pinhole camera")))
 }
 
-pub fn read(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
-    check_lens("--from-depth", frame)?;
-    let file = values_file(folder, &frame.name, &EXTENSIONS);
-    let file = file.ok_or_else(|| absent(folder, format!("none for {}", frame.name)))?;
-    read_file(&file, &frame.camera.intrinsics, &camera.intrinsics, unit)
+pub fn read(folder: &Path, frames: &[&CaptureView], cameras: &[Camera], unit: f64) -> Result<Vec<Vec<f32>>> {
+    let read = |((file, frame), camera): ((Option<PathBuf>, &&CaptureView), &Camera)| {
+        check_lens("--from-depth", frame)?;
+        let file = file.ok_or_else(|| absent(folder, format!("none for {}", frame.name)))?;
+        read_file(&file, &frame.camera.intrinsics, &camera.intrinsics, unit)
+    };
+    values_files(folder, frames, &EXTENSIONS)?.into_iter().zip(frames).zip(cameras).map(read).collect()
 }
 
 /// Depth of a whole photo, nearest sampled for a camera and divided by `unit`.
@@ -259,8 +261,7 @@ fn read_values(file: &Path, photos: &[PathBuf], frames: &[&CaptureView]) -> Resu
         return Err(malformed(format!("{:?} {shape:?} of {} photos", depth.dtype(), names.len())));
     }
     let size = [width as u32, height as u32];
-    let source = |(photo, frame): (&PathBuf, &&CaptureView)| {
-        let stem = photo.file_stem().unwrap_or_default().to_string_lossy();
+    let source = |(stem, frame): (String, &&CaptureView)| {
         let Some(i) = names.iter().position(|name| *name == stem) else { return Ok(None) };
         check_shape(file, size, &frame.camera.intrinsics)?;
         let map = &data[4 * i * width * height..4 * (i + 1) * width * height];
@@ -272,7 +273,7 @@ fn read_values(file: &Path, photos: &[PathBuf], frames: &[&CaptureView]) -> Resu
         let intrinsics = frame.camera.intrinsics.resized(size[0], size[1]);
         Ok(Some(Source::Predicted { values, intrinsics }))
     };
-    photos.iter().zip(frames).map(source).collect()
+    unique_stems(photos).into_iter().zip(frames).map(source).collect()
 }
 
 fn predict(

@@ -61,6 +61,24 @@ pub fn values_file(folder: &Path, photo: &str, extensions: &[&str]) -> Option<Pa
     files.find(|file| file.is_file())
 }
 
+/// Photos of equal names cannot share a file.
+pub fn values_files<'a>(
+    folder: &Path,
+    frames: &[&'a CaptureView],
+    extensions: &[&str],
+) -> Result<Vec<Option<PathBuf>>> {
+    let mut photo_of: HashMap<PathBuf, &str> = HashMap::new();
+    let file = |frame: &&'a CaptureView| {
+        let Some(file) = values_file(folder, &frame.name, extensions) else { return Ok(None) };
+        if let Some(other) = photo_of.insert(file.clone(), &frame.name).filter(|other| *other != frame.name) {
+            let found = format!("{}, as of {other}", file.display());
+            return Err(Error::argument(format!("values of {}", frame.name), found, "a file of its own"));
+        }
+        Ok(Some(file))
+    };
+    frames.iter().map(file).collect()
+}
+
 struct ValueFile {
     path: PathBuf,
     camera: Camera,
@@ -75,8 +93,9 @@ impl ValueFiles {
     pub fn find(session: &mut Session<'_>, folder: &Path, photos: &PosedPhotos, world: Option<&World>) -> Result<Self> {
         let (capture, to_scene) = photos.open(session, world)?;
         let mut files = Vec::new();
-        for frame in &capture.frames {
-            let Some(path) = values_file(folder, &frame.name, &["npy", "png"]) else { continue };
+        let frames: Vec<&CaptureView> = capture.frames.iter().collect();
+        for (frame, path) in frames.iter().zip(values_files(folder, &frames, &["npy", "png"])?) {
+            let Some(path) = path else { continue };
             let (camera, lens) = (fitted(&to_scene.apply(&frame.camera)), frame.lens);
             let photo = lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);
             files.push(ValueFile { path, camera, lens, photo });

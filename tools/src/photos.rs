@@ -1,4 +1,5 @@
 use crate::{
+    cameras::KnownCameras,
     heic::{is_heic, to_jpeg},
     masks::MaskArgs,
     options::{Size, refuse},
@@ -21,11 +22,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     refine::Photos,
-    types::{
-        Image, Masks, PHOTO_EXTENSIONS, is_photo, natural_order,
-        poses::{Capture, CaptureView},
-        preprocess::crop_to_aspect,
-    },
+    types::{Image, Masks, PHOTO_EXTENSIONS, is_photo, natural_order, poses::CaptureView, preprocess::crop_to_aspect},
 };
 
 const NAMED: usize = 5;
@@ -80,14 +77,7 @@ impl Reading {
         unposed: Option<&MaskArgs>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
-        let mut listed = Vec::new();
-        for path in paths {
-            if is_video(path) {
-                listed.push(path.clone());
-            } else {
-                listed.extend(list_path(session, path, self.recursive)?);
-            }
-        }
+        let listed = list(session, paths, self.recursive)?;
         let heic: Vec<&PathBuf> = listed.iter().filter(|path| is_heic(path)).collect();
         let beside = |(file, overwrite): (&Path, Overwrite)| FrameFolder::beside(file, overwrite.is_given());
         let make = || named_in.map_or_else(FrameFolder::temporary, beside);
@@ -127,10 +117,10 @@ impl Reading {
 }
 
 /// Photos of folders are in natural order. Notes skipped files, except hidden ones.
-pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
+pub fn list(session: &mut Session<'_>, paths: &[PathBuf], recursive: bool) -> Result<Vec<PathBuf>> {
     let mut photos = Vec::new();
     for path in paths {
-        photos.extend(list_path(session, path, false)?);
+        photos.extend(list_path(session, path, recursive)?);
     }
     Ok(photos)
 }
@@ -243,23 +233,27 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
-/// Keeps at most `views` photos that have a camera among any `poses`, each as many times as it has
-/// views.
+/// Keeps at most `views` photos with known cameras, each as many times as it has views.
 pub fn kept(
     session: &mut Session<'_>,
     photos: Vec<PathBuf>,
-    poses: Option<&Capture>,
+    known: Option<&mut KnownCameras>,
     views: Option<u32>,
 ) -> Result<Vec<PathBuf>> {
-    let Some(poses) = poses else { return Ok(spread(photos, views)) };
-    session.notes(&poses.warnings);
-    poses.per_view(spread(posed(session, photos, poses)?, views))
+    let Some(known) = known else { return Ok(spread(photos, views)) };
+    session.notes(&known.poses.warnings);
+    let photos = spread(posed(session, photos, known)?, views);
+    known.poses.attach(&photos)?;
+    known.poses.per_view(photos)
 }
 
-pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Capture) -> Result<Vec<PathBuf>> {
+pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, known: &KnownCameras) -> Result<Vec<PathBuf>> {
+    let KnownCameras { poses, found } = known;
+    // A found photo may have the name of a lost one.
+    let lost = found.as_ref().map_or(&[][..], |found| &found.lost[..]);
     let (mut kept, mut others) = (Vec::new(), Vec::new());
     for photo in photos {
-        let to = if poses.frame_of(&photo)?.is_some() { &mut kept } else { &mut others };
+        let to = if !lost.contains(&photo) && poses.frame_of(&photo)?.is_some() { &mut kept } else { &mut others };
         to.push(photo);
     }
     if kept.is_empty() {
@@ -339,7 +333,7 @@ impl Photos for PhotoFiles<'_> {
     }
 }
 
-fn open(path: &Path, frame: Option<&&CaptureView>, masks: Option<&Masks>) -> Result<Image> {
+pub fn open(path: &Path, frame: Option<&&CaptureView>, masks: Option<&Masks>) -> Result<Image> {
     match (frame, masks) {
         (None, None) => Image::open(path),
         (None, Some(masks)) => masks.open(path, false),

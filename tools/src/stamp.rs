@@ -8,10 +8,11 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Name, size and time of a file, or of a folder's files.
+/// Name, size and time of a file, or of the files in a folder and below, except behind links.
 pub fn stamp(path: &Path) -> Result<String> {
     if path.is_dir() {
-        return files_in(path)?.iter().map(|file| stamp(file)).collect();
+        let entries = entries(path)?.into_iter().filter(|entry| entry.is_file() || !entry.is_symlink());
+        return entries.map(|entry| stamp(&entry)).collect();
     }
     let failed = |error| Error::io(path, error);
     let found = path.metadata().map_err(failed)?;
@@ -22,7 +23,7 @@ pub fn stamp(path: &Path) -> Result<String> {
 /// SHA-256 of a file or of a folder's files; nothing for a name.
 pub fn hash_of_weights(weights: &Path) -> Result<String> {
     let mut hash = Sha256::new();
-    let files = if weights.is_dir() { files_in(weights)? } else { vec![weights.to_owned()] };
+    let files = if weights.is_dir() { entries(weights)? } else { vec![weights.to_owned()] };
     for file in files.iter().filter(|file| file.is_file()) {
         let mut file = File::open(file).map_err(|error| Error::io(file, error))?;
         std::io::copy(&mut file, &mut hash).map_err(|error| Error::io(weights, error))?;
@@ -30,12 +31,11 @@ pub fn hash_of_weights(weights: &Path) -> Result<String> {
     Ok(hex(hash))
 }
 
-fn files_in(folder: &Path) -> Result<Vec<PathBuf>> {
+fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = folder.read_dir().map_err(|error| Error::io(folder, error))?;
-    let mut files: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
-    files.retain(|file| file.is_file());
-    files.sort();
-    Ok(files)
+    let mut entries: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    entries.sort();
+    Ok(entries)
 }
 
 pub fn digest(parts: &[String]) -> String {
@@ -46,4 +46,23 @@ pub fn digest(parts: &[String]) -> String {
 
 fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn stamps_cover_folders_below() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let model = folder.path().join("sparse/0");
+        fs::create_dir_all(&model).unwrap();
+        let mut stamps = Vec::new();
+        for text in ["a", "longer"] {
+            fs::write(model.join("images.txt"), text).unwrap();
+            stamps.push(stamp(folder.path()).unwrap());
+        }
+        assert_ne!(stamps[0], stamps[1]);
+    }
 }

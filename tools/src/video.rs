@@ -1,4 +1,5 @@
 use crate::{
+    cameras::Place,
     decode::{AS_PPM, decode, read_ppm, read_whole, save_jpeg},
     outputs::make_folder,
     process::check,
@@ -34,9 +35,10 @@ impl FrameFolder {
         Ok(Self { path: scratch.path().to_owned(), kept: true, _scratch: Some(scratch) })
     }
 
-    /// Creates `frames` next to a camera file; an existing one stays with `overwrite`.
+    /// Creates [`Place::beside`]'s `frames` for a camera file; an existing one stays with
+    /// `overwrite`.
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
-        let path = file.with_file_name("frames");
+        let path = Place(file).beside("frames");
         file.parent().map_or(Ok(()), make_folder)?;
         match std::fs::create_dir(&path) {
             Ok(()) => Ok(Self { path, kept: false, _scratch: None }),

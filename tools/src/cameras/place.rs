@@ -19,7 +19,7 @@ pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {
     /// `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
-    fn beside(&self, name: &str) -> PathBuf {
+    pub fn beside(&self, name: &str) -> PathBuf {
         match self.0.file_stem() {
             Some(stem) if stem != "transforms" => {
                 let mut own = stem.to_owned();
@@ -96,26 +96,30 @@ impl ModelOption {
     }
 
     pub fn check_names(&self, photos: &[PathBuf]) -> Result<()> {
-        let names = photos.iter().map(|photo| photo.file_name().unwrap_or_default().to_string_lossy());
-        names.filter(|_| self.colmap_model.is_some()).try_for_each(|name| check_colmap_name(&name))
+        let check = |_| names(photos)?.iter().try_for_each(|name| check_colmap_name(name));
+        self.colmap_model.as_ref().map_or(Ok(()), check)
     }
 
     pub fn save(&self, frames: &[CaptureView], points: Option<&Path>) -> Result<()> {
         let Some(folder) = &self.colmap_model else { return Ok(()) };
         let photos = frames.iter().map(|frame| frame.photo.as_deref().unwrap_or(Path::new(&frame.name)));
-        let shared = photos.clone().filter_map(Path::parent).map(Path::to_owned).reduce(|a, b| {
-            let common = a.components().zip(b.components()).take_while(|(a, b)| a == b);
-            common.map(|(folder, _)| folder).collect()
-        });
-        let shared = shared.unwrap_or_default();
-        let named = |(frame, photo): (&CaptureView, &Path)| {
-            let name = text(photo.strip_prefix(&shared).unwrap_or(photo))?.replace('\\', "/");
-            Ok(CaptureView { name, ..frame.clone() })
-        };
-        let named = frames.iter().zip(photos.clone()).map(named).collect::<Result<Vec<CaptureView>>>()?;
+        let photos: Vec<&Path> = photos.collect();
+        let named = names(&photos)?.into_iter().zip(frames).map(|(name, frame)| CaptureView { name, ..frame.clone() });
+        let named: Vec<CaptureView> = named.collect();
         make_folder(folder)?;
         write_colmap(folder, &named, &points.map(read_cloud).transpose()?.map(colored).unwrap_or_default())
     }
+}
+
+/// Paths below the photos' common folder.
+fn names(photos: &[impl AsRef<Path>]) -> Result<Vec<String>> {
+    let photos = photos.iter().map(AsRef::as_ref);
+    let shared = photos.clone().filter_map(Path::parent).map(Path::to_owned).reduce(|a, b| {
+        let common = a.components().zip(b.components()).take_while(|(a, b)| a == b);
+        common.map(|(folder, _)| folder).collect()
+    });
+    let shared = shared.unwrap_or_default();
+    photos.map(|photo| Ok(text(photo.strip_prefix(&shared).unwrap_or(photo))?.replace('\\', "/"))).collect()
 }
 
 pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {

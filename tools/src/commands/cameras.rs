@@ -32,7 +32,8 @@ use zipsplat::Result;
 pub struct Cameras {
     #[command(flatten)]
     input: PhotoArgs,
-    /// transforms.json to write; video frames go to the folder frames next to it
+    /// transforms.json to write; video frames go to the folder frames next to it, or NAME.frames
+    /// for NAME.json
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

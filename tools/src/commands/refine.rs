@@ -31,8 +31,9 @@ use zipsplat::{
 /// The scene's world is that of the cameras, or the camera of a photo that the scene's file or
 /// --relative-to names. From 40 photos on one is held out, and the best step by that photo is
 /// written. Ctrl-C stops early and writes the best step so far. FILE.checkpoint beside the scene
-/// keeps the state, every minute and at Ctrl-C; the same command resumes. With --cameras colmap
-/// there is none: COLMAP's cameras differ in each run.
+/// keeps the state, every minute and at Ctrl-C; the same command resumes. No such file is
+/// kept with --cameras colmap, whose cameras differ in each run, or if the output replaces the
+/// scene.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --cameras transforms.json -o better.ply
@@ -95,12 +96,13 @@ impl Refine {
             let expected = "--init points: estimated cameras are in another world than the scene";
             return Err(Error::argument(format!("--cameras {}", self.cameras.display()), "with a scene", expected));
         }
-        let photos = photos::list(session, files)?;
+        let photos = photos::list(session, files, false)?;
         if KnownCameras::to_find(&self.cameras) {
             panorama::refuse(&photos)?;
         }
-        let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
-        let photos = photos::kept(session, photos, Some(&poses), None)?;
+        let mut known = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
+        let photos = photos::kept(session, photos, Some(&mut known), None)?;
+        let KnownCameras { poses, found } = known;
         let masks = self.finding.masks();
         masks.as_ref().map_or(Ok(()), |masks| masks.check(&photos))?;
         let frames = poses.frames_of(&photos)?;
@@ -110,7 +112,10 @@ impl Refine {
         let unit = 1.0 / started.to_scene.scale;
         let known = self.settings.known_depth(session, (&photos, &frames), &started.cameras, unit)?;
         let checkpoint = || refinement::checkpoint(&self.output, &photos, masks.as_ref(), known.as_ref());
-        let checkpoint = refinement::has_stable_cameras(&self.cameras).then(checkpoint).transpose()?;
+        // A rerun would refine the result.
+        let is_in_place = scene.is_some_and(|scene| scene.canonicalize().ok() == self.output.canonicalize().ok());
+        let is_repeatable = refinement::has_stable_cameras(&self.cameras) && !is_in_place;
+        let checkpoint = is_repeatable.then(checkpoint).transpose()?;
         let files = WithDepth(PhotoFiles::new(&photos, &frames, masks)?, known.as_ref());
         let (refined, request) = self.refine(session, &device, &started, (files, &photos, checkpoint))?;
         let options = SaveOptions::default();

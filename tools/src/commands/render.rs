@@ -186,7 +186,9 @@ impl Render {
     }
 
     pub fn check(&self) -> Result<()> {
-        self.sinks().map(drop)
+        self.sinks()?;
+        let check = |folder| self.overwrite.check_replaced(pictures::files(folder, 1, &self.request()));
+        self.folder().map_or(Ok(()), check)
     }
 
     pub fn of_words(scene: &Path, folder: &Path, force: bool, words: &[String]) -> Result<Self> {

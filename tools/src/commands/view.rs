@@ -227,7 +227,7 @@ impl View {
             })
         })?;
         if let Some(watched) = watched {
-            session.stage("refine", |stage| watched.run(&ready.live, |done| stage.at(done)))?;
+            session.stage("refine", |stage| watched.run(ready, |done| stage.at(done)))?;
             made.extend(watched.scene());
         }
         config.note = Some(format!(
@@ -326,7 +326,7 @@ impl View {
         std::thread::scope(|scope| {
             if let (Some(watched), Some(ready)) = (watched, ready) {
                 // The page reports failures.
-                scope.spawn(|| watched.run(&ready.live, |_| ready.live.go_on()));
+                scope.spawn(|| watched.run(ready, |_| ready.live.go_on()));
             }
             let stopped = || cancelled.load(Ordering::Relaxed);
             let ended = server.serve(|path, body| served.answer(path, body), stopped);

@@ -38,8 +38,9 @@ pub struct InputCamera {
 
 impl InputCamera {
     pub fn new(frame: CaptureView, pose: &Pose, file: Option<PathBuf>) -> Self {
-        let frame = CaptureView { photo: file, ..frame };
+        let mut frame = CaptureView { photo: file.clone().or(frame.photo), ..frame };
         let turns = frame.quarter_turns();
+        frame.photo = file;
         let Camera { intrinsics, pose } = Camera { pose: *pose, ..frame.camera }.turned(turns);
         let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
         let (r, t) = (pose.rotation, pose.translation);

@@ -71,8 +71,8 @@ pub struct Ready<'a> {
     /// In the scene's world.
     pub cameras: Vec<InputCamera>,
     names: Vec<String>,
-    photos: Vec<PathBuf>,
-    frames: Vec<CaptureView>,
+    pub(super) photos: Vec<PathBuf>,
+    pub(super) frames: Vec<CaptureView>,
     cloud: Option<PointCloud>,
     _folder: Option<FrameFolder>,
 }
@@ -96,9 +96,9 @@ impl FromPhotos {
     ) -> Result<Photographed> {
         let unposed = poses.is_none_or(KnownCameras::to_find).then_some(&self.finding.search.masks);
         let (photos, folder) = self.reading.list(session, (paths, self.views), unposed, None)?;
-        let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
+        let mut known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
         let views = self.views.filter(|_| unposed.is_none());
-        let photos = photos::kept(session, photos, known.as_ref().map(|known| &known.poses), views)?;
+        let photos = photos::kept(session, photos, known.as_mut(), views)?;
         self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
         Ok(Photographed { photos, known, folder })
     }
@@ -225,9 +225,6 @@ impl FromPhotos {
         let camera = |frame: &CaptureView| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
         let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
         let frames: Vec<&CaptureView> = ready.frames.iter().collect();
-        let (photos, _) = session.stage("load photos", |stage| {
-            photos::read(&ready.photos, &frames, self.finding.masks().as_ref(), stage, |_, photo| Ok(photo))
-        })?;
         let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
         let (start, tokens) = if steps.tokens {
             let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
@@ -250,7 +247,7 @@ impl FromPhotos {
         let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind), &ready.photos);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
-        Ok(Some(Watched::new(start, tokens, (photos, known), cameras, request)))
+        Ok(Some(Watched::new(start, tokens, (self.finding.masks(), known), cameras, request)))
     }
 }
 

@@ -1,8 +1,8 @@
-use super::{
-    live::{Live, LiveScene},
-    page::ShownScene,
+use super::{live::LiveScene, page::ShownScene, photos::Ready};
+use crate::{
+    known_depth::{KnownDepth, WithDepth},
+    photos::PhotoFiles,
 };
-use crate::known_depth::{KnownDepth, WithDepth};
 use serde::Serialize;
 use std::{
     ops::ControlFlow,
@@ -16,7 +16,7 @@ use zipsplat::{
     gpu::Arena,
     reconstruct::SceneTokens,
     refine::{FrozenHead, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens},
-    types::{Camera, Image, Scene},
+    types::{Camera, Masks, Scene, poses::CaptureView},
 };
 
 const SHOWN: usize = 50;
@@ -29,7 +29,7 @@ pub enum Target {
 pub struct Watched {
     target: Target,
     tokens: Option<(usize, Vec<u32>)>,
-    photos: Vec<Image>,
+    masks: Option<Masks>,
     known: Option<KnownDepth>,
     cameras: Vec<Camera>,
     request: RefineOptions,
@@ -57,14 +57,14 @@ impl Watched {
     pub fn new(
         target: Target,
         tokens: Option<(usize, Vec<u32>)>,
-        (photos, known): (Vec<Image>, Option<KnownDepth>),
+        (masks, known): (Option<Masks>, Option<KnownDepth>),
         cameras: Vec<Camera>,
         request: RefineOptions,
     ) -> Self {
         Self {
             target,
             tokens,
-            photos,
+            masks,
             known,
             cameras,
             request: RefineOptions { snapshots: SHOWN, ..request },
@@ -74,21 +74,24 @@ impl Watched {
     }
 
     /// `progress` gets the finished fraction.
-    pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
+    pub fn run(&self, ready: &Ready<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
         let report = |at: RefineProgress<'_>| {
             self.tell(&at);
             let share = progress(at.step as f64 / at.steps as f64);
             if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
         };
-        let photos = WithDepth(&self.photos, self.known.as_ref());
-        let (cameras, request) = (&self.cameras, &self.request);
+        let (cameras, request, live) = (&self.cameras, &self.request, &ready.live);
         // The slider uses the model's arena meanwhile.
         let arena = Arena::new(&live.device);
-        let refined = match &self.target {
-            Target::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, report),
-            Target::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
-                .and_then(|head| refine_tokens(&arena, &head, tokens, photos, cameras, request, report)),
-        };
+        let frames: Vec<&CaptureView> = ready.frames.iter().collect();
+        let refined = PhotoFiles::new(&ready.photos, &frames, self.masks.clone()).and_then(|photos| {
+            let photos = WithDepth(photos, self.known.as_ref());
+            match &self.target {
+                Target::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, report),
+                Target::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
+                    .and_then(|head| refine_tokens(&arena, &head, tokens, photos, cameras, request, report)),
+            }
+        });
         self.end(refined)
     }
 

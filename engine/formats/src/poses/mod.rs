@@ -11,6 +11,7 @@ mod transforms;
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::ptr;
 
 use serde_json::Value;
 
@@ -222,9 +223,28 @@ impl Capture {
         Ok(views)
     }
 
+    /// Sets the photos of all views of the frames of `photos`, matched as in
+    /// [`Capture::frames_of`].
+    ///
+    /// # Errors
+    /// Those of [`Capture::frames_of`].
+    pub fn attach(&mut self, photos: &[impl AsRef<Path>]) -> Result<()> {
+        let mut photo_of: HashMap<*const CaptureView, PathBuf> = HashMap::new();
+        for (frame, photo) in self.frames_of(photos)?.into_iter().zip(photos) {
+            photo_of
+                .extend(self.views_of(frame).iter().map(|view| (ptr::from_ref(view), photo.as_ref().to_path_buf())));
+        }
+        for frame in &mut self.frames {
+            if let Some(photo) = photo_of.remove(&ptr::from_ref(frame)) {
+                frame.photo = Some(photo);
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the frames of the photo whose first is given.
     pub fn views_of<'a>(&'a self, first: &'a CaptureView) -> &'a [CaptureView] {
-        let Some(start) = self.frames.iter().position(|frame| std::ptr::eq(frame, first)) else {
+        let Some(start) = self.frames.iter().position(|frame| ptr::eq(frame, first)) else {
             return std::slice::from_ref(first);
         };
         let later = self.frames[start + 1..].iter();

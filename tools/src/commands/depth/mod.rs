@@ -128,17 +128,19 @@ impl Depth {
         save_values(&self.output.join(VALUES), &predicted.depths, &names)?;
         let levels = self.save_pictures(&predicted.depths, &names)?;
         let points = predicted.points(self.max_points);
+        let cloud = self.output.join(POINTS);
         if predicted.cameras.is_some() {
-            let cloud = self.output.join(POINTS);
             write_points(&cloud, &points)?;
-            self.model.save(&frames, Some(&cloud))?;
-            let named = |(frame, file): (CaptureView, &PathBuf)| {
-                Ok(CaptureView { name: path_from(&self.output, file)?, ..frame })
+            let named = |(frame, file): (&CaptureView, &PathBuf)| {
+                Ok(CaptureView { name: path_from(&self.output, file)?, ..frame.clone() })
             };
-            let frames = frames.into_iter().zip(&predicted.photos).map(named).collect::<Result<Vec<_>>>()?;
-            write_frames(place, &frames, Some(POINTS))?;
+            let named = frames.iter().zip(&predicted.photos).map(named).collect::<Result<Vec<_>>>()?;
+            write_frames(place, &named, Some(POINTS))?;
         }
         folder.iter_mut().for_each(FrameFolder::keep);
+        if predicted.cameras.is_some() {
+            self.model.save(&frames, Some(&cloud))?;
+        }
         self.report(session, &predicted, levels, points.len(), errors.as_ref())
     }
 
@@ -184,15 +186,14 @@ impl Depth {
 
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<CaptureView>, Option<PathBuf>)>> {
         let Some(poses) = &self.cameras else { return Ok(None) };
-        let poses = Capture::open(poses)?;
+        let mut poses = Capture::open(poses)?;
+        poses.attach(files)?;
         let frames = poses.frames_of(files)?;
         if let Some(wide) = frames.iter().find(|frame| poses.views_of(frame).len() > 1) {
             let expected = format!("up to {MAX_VIEW_DEG} degrees; reconstruct and refine take wider ones");
             return Err(Error::argument(format!("field of view of {}", wide.name), "a wider lens", expected));
         }
-        let frames = frames.into_iter().zip(files);
-        let frames = frames.map(|(frame, file)| CaptureView { photo: Some(file.clone()), ..frame.clone() }).collect();
-        Ok(Some((frames, poses.points)))
+        Ok(Some((frames.into_iter().cloned().collect(), poses.points)))
     }
 
     /// Returns the levels per unit, of all pictures.

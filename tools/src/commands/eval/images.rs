@@ -51,8 +51,8 @@ impl ImageSets<'_> {
             refuse(option, given, "two sets of pictures", "a capture")?;
         }
         let pairs = self.pairs(session)?;
-        let written = eval.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
-        eval.overwrite.check_replaced(written)?;
+        let mut written = eval.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
+        written.try_for_each(|file| eval.overwrite.check_file(file))?;
         let device = session.device()?;
         let mut lpips = eval.lpips.open(&device, false, false)?;
         if lpips.is_none() && eval.lpips.is_default() {
@@ -97,7 +97,7 @@ impl ImageSets<'_> {
 
     fn pairs_of_folders(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
         let [ours, others] =
-            [self.first, self.second].map(|folder| photos::list(session, std::slice::from_ref(folder)));
+            [self.first, self.second].map(|folder| photos::list(session, std::slice::from_ref(folder), false));
         let (ours, mut others) = (ours?, others?);
         let mut pairs = Vec::new();
         let mut alone = Vec::new();

@@ -266,21 +266,15 @@ impl Eval {
 
     fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<KnownCameras>> {
         let Some(path) = &self.cameras else { return Ok(None) };
-        let photos = photos::list(session, std::slice::from_ref(folder))?;
+        let photos = photos::list(session, std::slice::from_ref(folder), false)?;
         if KnownCameras::to_find(path) {
             panorama::refuse(&photos)?;
         }
         let mut known = KnownCameras::of(session, path, &photos, &self.finding)?;
-        // The camera file may lie elsewhere.
-        for photo in photos::posed(session, photos, &known.poses)? {
-            let place = known.poses.frames_of(&[&photo])?[0].name.clone();
-            known
-                .poses
-                .frames
-                .iter_mut()
-                .filter(|frame| frame.name == place)
-                .for_each(|frame| frame.photo = Some(photo.clone()));
-        }
+        let photos = photos::posed(session, photos, &known)?;
+        // Those of the camera file may lie elsewhere.
+        known.poses.frames.iter_mut().for_each(|frame| frame.photo = None);
+        known.poses.attach(&photos)?;
         Ok(Some(known))
     }
 }

@@ -43,29 +43,27 @@ impl Reconstruct {
         if self.finds(network) {
             self.check_count(&photos, network)?;
         }
-        let (poses, found) = match (network, &self.cameras) {
+        let mut known = match (network, &self.cameras) {
             // One pass gives cameras and scene.
             (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
                 let (poses, found) =
                     EstimatedCameras::by_predictor(session, &photos, self.predictor_options(checkpoint))?;
                 session.note(format!("cameras found: {}", found.summary()));
-                (Some(poses), Some(found))
+                Some(KnownCameras { poses, found: Some(found) })
             }
-            (_, Some(path)) => {
-                let known = KnownCameras::of(session, path, &photos, &self.finding)?;
-                (Some(known.poses), known.found)
-            }
-            (_, None) => (None, None),
+            (_, Some(path)) => Some(KnownCameras::of(session, path, &photos, &self.finding)?),
+            (_, None) => None,
         };
-        if let (Some(place), Some(poses), Some(found)) = (&self.cameras_out, &poses, &found) {
+        if let (Some(place), Some(KnownCameras { poses, found: Some(found) })) = (&self.cameras_out, &known) {
             Place(place).save(poses, found)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
         let views = self.views.filter(|_| unposed.is_none());
-        let photos = photos::kept(session, photos, poses.as_ref(), views)?;
+        let photos = photos::kept(session, photos, known.as_mut(), views)?;
         self.check_count(&photos, network)?;
         self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
-        Ok(Captured { photos, poses, frame_folder, found })
+        let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
+        Ok(Captured { photos, poses, frame_folder, found: found.flatten() })
     }
 
     /// Depth Anything 3 and VGGT have a limit; a refinement of points does without them.

@@ -227,16 +227,9 @@ impl Reconstruct {
             scene.place(1.0, first);
             session.notes(coarse(first, forward.as_ref()));
         }
-        let save = || outputs::save_scene(self.output(), &scene, &SaveOptions::default(), world.as_ref());
-        let is_cancelled = |made: &&RefinedScene| made.refined.stop_reason == Some(StopReason::Cancelled);
-        if let Some(made) = refined.as_ref().filter(is_cancelled) {
-            session.notes(save()?);
-            session.note(refinement::cancellation(self.output(), &made.request, &made.refined));
-            return Err(Error::Cancelled);
-        }
         // A stage would drop the scene at Ctrl-C.
         let begin = Instant::now();
-        session.notes(save()?);
+        session.notes(outputs::save_scene(self.output(), &scene, &SaveOptions::default(), world.as_ref())?);
         let write = begin.elapsed();
         let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
         if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
@@ -246,6 +239,11 @@ impl Reconstruct {
             };
             save_cameras(path, refined, &(*first).into(), &photos, &frames, points.as_deref())?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
+        let is_cancelled = |made: &&RefinedScene| made.refined.stop_reason == Some(StopReason::Cancelled);
+        if let Some(made) = refined.as_ref().filter(is_cancelled) {
+            session.note(refinement::cancellation(self.output(), &made.request, &made.refined));
+            return Err(Error::Cancelled);
         }
         refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request, &made.refined));
         if let (Some(path), Some(found)) =

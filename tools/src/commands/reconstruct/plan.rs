@@ -1,6 +1,7 @@
 use super::Reconstruct;
 use crate::{
     blocks,
+    cameras::KnownCameras,
     depth::{DEPTH_WEIGHTS, square},
     options::{ArithmeticOption, Network as Weights, Quality, Size, refuse},
     photos,
@@ -18,7 +19,7 @@ use zipsplat::{
     reconstruct::{KvPool, Network, NetworkPlan},
     refine::{Moved, RefinePlan, plan_refinement},
     stages::render::{RenderOptions, plan_pictures},
-    types::poses::{Capture, CaptureView},
+    types::poses::CaptureView,
     weights::{Checkpoint, DepthCheckpoint},
 };
 
@@ -32,14 +33,15 @@ pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
     };
     let limit = command.views.filter(|_| photos.is_empty() || command.unposed().is_none());
     let file = command.cameras.as_ref().filter(|_| !photos.is_empty() && command.unposed().is_none());
-    let poses = file.map(Capture::open).transpose()?;
-    let photos = photos::kept(session, photos, poses.as_ref(), limit)?;
+    let known = file.map(|file| KnownCameras::of(session, file, &photos, &command.finding));
+    let mut known = known.transpose()?;
+    let photos = photos::kept(session, photos, known.as_mut(), limit)?;
     let views = match (photos.len(), limit) {
         (0, None) => return Err(Error::argument("photos", "none", "photos, or their number by --views")),
         (0, Some(views)) => views as usize,
         (all, _) => all,
     };
-    let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+    let frames = known.as_ref().map(|known| known.poses.frames_of(&photos)).transpose()?.unwrap_or_default();
     let network = command.weights.open_network()?;
     let posed = command.cameras.is_some() && !command.finds_by_itself(&network);
     match &network {

@@ -21,7 +21,7 @@ use crate::{
 use clap::Args;
 use std::{path::PathBuf, str::FromStr, time::Duration};
 use zipsplat::{
-    Error, Result,
+    Result,
     gpu::Device,
     ops::{Arithmetic, Precision},
     reconstruct::{KvPool, Ratio, TokenSelection},
@@ -152,7 +152,7 @@ impl Tradeoff {
         let arithmetics = self.arithmetics(session, &device, &checkpoint)?;
         let rounded = rounded::all(self, session, &checkpoint)?;
         let networks = sweep::Networks { checkpoint: &checkpoint, rounded: &rounded, arithmetics: &arithmetics };
-        let (sweep, cancelled) = sweep::run(self, session, &device, networks, &captures, &clouds)?;
+        let (sweep, error) = sweep::run(self, session, &device, networks, &captures, &clouds)?;
 
         outputs::make_folder(&self.output)?;
         let (pareto, figures) = (figures::pareto(&sweep.points), figures::figures(&sweep));
@@ -169,9 +169,9 @@ impl Tradeoff {
         }
         outputs::save_csv(&csv, &sweep.points)?;
         let (measured, planned) = (sweep.points.len(), sweep.planned);
-        if cancelled {
+        if let Some(error) = error {
             session.note(format!("{} has the {measured} of {planned} points that were measured", html.display()));
-            return Err(Error::Cancelled);
+            return Err(error);
         }
         if measured < planned {
             session.note(format!(

@@ -77,7 +77,7 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Also returns whether to stop the command.
+/// Also returns the error that ended the sweep after its first point.
 pub fn run(
     args: &Tradeoff,
     session: &mut Session<'_>,
@@ -85,7 +85,7 @@ pub fn run(
     Networks { checkpoint, rounded, arithmetics }: Networks<'_>,
     captures: &[ViewSplit],
     clouds: &[Option<PointCloud>],
-) -> Result<(Sweep, bool)> {
+) -> Result<(Sweep, Option<Error>)> {
     let all = checkpoint.architecture().gaussians_per_token;
     let keep = match &args.max_gaussians_per_token {
         Some(keep) => keep.iter().map(|keep| keep.of(all)).collect::<Result<_>>()?,
@@ -117,13 +117,8 @@ pub fn run(
         began: Instant::now(),
     };
     match session.stage("sweep", |stage| bench.run(&networks, &passes, stage)) {
-        Ok(_) => Ok((bench.sweep, false)),
-        Err(Error::Cancelled) if !bench.sweep.points.is_empty() => Ok((bench.sweep, true)),
-        Err(error) if !bench.sweep.points.is_empty() => {
-            session.note(format!("the sweep ended early: {error}"));
-            Ok((bench.sweep, true))
-        }
-        Err(error) => Err(error),
+        Err(error) if bench.sweep.points.is_empty() => Err(error),
+        ended => Ok((bench.sweep, ended.err())),
     }
 }
 

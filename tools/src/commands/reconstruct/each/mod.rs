@@ -80,9 +80,10 @@ impl<'a> Batch<'a> {
         }
         outputs::check_folder(output)?;
         let works = self.works(session)?;
+        overwrite.check_replaced(works.iter().map(|work| &work.record))?;
         // A .splat does not say who wrote it, its record does.
-        let unknown = works.iter().filter(|work| !outputs::is_own(&work.record));
-        overwrite.check_replaced(unknown.flat_map(|work| [&work.scene, &work.record]))?;
+        let unknown = works.iter().filter(|work| recorded(work).is_none());
+        overwrite.check_replaced(unknown.map(|work| &work.scene))?;
         overwrite.check_replaced([output.join(FAILURES)])?;
         let network = self.command.weights.open_network()?;
         let (maker, settings_key) = match &network {
@@ -272,7 +273,7 @@ impl Runner<'_> {
         }
         let masks = self.batch.command.finding.search.masks.below(&work.folder);
         let hash = self.hash(&photos, poses.as_ref(), masks.as_ref())?;
-        if is_finished(work, &hash) {
+        if recorded(work).is_some_and(|record| record["hash"] == *hash) {
             return Ok(None);
         }
         let frames: Vec<&CaptureView> =
@@ -336,10 +337,11 @@ fn write(work: &Work, finished: FinishedScene) -> Result<()> {
     outputs::save_json(&work.record, &record)
 }
 
-fn is_finished(work: &Work, hash: &str) -> bool {
-    let read = || serde_json::from_slice::<Value>(&std::fs::read(&work.record).ok()?).ok();
-    let bytes = work.scene.metadata().map(|found| found.len()).ok();
-    read().is_some_and(|record| record["hash"] == hash && bytes.is_some() && record["bytes"].as_u64() == bytes)
+/// Returns the record of a scene that still has the recorded size.
+fn recorded(work: &Work) -> Option<Value> {
+    let record: Value = serde_json::from_slice(&std::fs::read(&work.record).ok()?).ok()?;
+    let bytes = work.scene.metadata().ok()?.len();
+    (record["bytes"].as_u64() == Some(bytes)).then_some(record)
 }
 
 /// The folder's, or else those of its images/.
