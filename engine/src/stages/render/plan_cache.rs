@@ -60,8 +60,8 @@ impl<K: Copy + PartialEq, P> PlanCache<K, P> {
         Ok(&mut self.entries.last_mut().expect("just pushed").plan)
     }
 
-    /// Runs the plan of `key`, recorded with more capacity after each overflow, and returns it. `run`
-    /// returns the intersections.
+    /// Runs the plan of `key`, recorded with more capacity after each overflow, and returns it.
+    /// `run` returns the intersections.
     pub fn run(
         &mut self,
         key: PlanKey<K>,
