@@ -109,10 +109,10 @@ void gather(uint64_t v_at, uint count) {
     [[unroll]] for (uint first = 0; first < VECTORS; first += KEY_VECTORS) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
             [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {
-                // Padding has weight 0. Constant offsets from a row make one vector load.
-                uint64_t row = v_at + rows(min(n * gl_WorkGroupSize.x + i, count - 1));
+                // Padding has weight 0.
+                uint key = min(n * gl_WorkGroupSize.x + i, count - 1);
                 [[unroll]] for (uint c = first; c < min(first + KEY_VECTORS, VECTORS); c++) {
-                    float value = vector_at(row, c * gl_WorkGroupSize.x);
+                    float value = vector_at(v_at, key * DIM + c * gl_WorkGroupSize.x);
                     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) sum[r][c] += subgroupBroadcast(weight[r][n], i) * value;
                 }
             }
