@@ -45,7 +45,7 @@ pub fn vggt_micro() -> Architecture {
     Architecture { position_grid: 5, gaussians_per_token: 4, ..like }
 }
 
-/// The smallest with every kind of parameter; the weights' seed is `pico`.
+/// The smallest with every kind of parameter, seeded by `pico`.
 pub fn pico() -> Architecture {
     Architecture {
         patch_size: 2,

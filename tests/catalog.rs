@@ -1,7 +1,7 @@
 use crate::device::device;
 use zipsplat_verify::{catalog, shapes};
 
-/// Asserts that the cases of kernels whose name starts with `family` stay within their bounds.
+/// Asserts the bounds of kernels whose name starts with `family`.
 pub fn examine(family: &str) {
     let mut outside = Vec::new();
     let mut count = 0;

@@ -97,7 +97,7 @@ impl Golden {
         entry.unwrap_or_else(|| panic!("{}: no metadata {name:?}", self.file))
     }
 
-    /// Returns compression ratios with their key prefixes: `(0.5, "r0.5")`.
+    /// Returns ratios with their key prefixes: `(0.5, "r0.5")`.
     pub fn compressions(&self) -> Vec<(f64, String)> {
         let ratios: Vec<f64> = serde_json::from_str(self.metadata("compressions")).expect("a list of ratios");
         ratios.into_iter().map(|ratio| (ratio, format!("r{ratio}"))).collect()

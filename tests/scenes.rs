@@ -39,7 +39,7 @@ pub fn camera_pose(view: &[f64]) -> Pose {
     Pose { rotation: DMat3::from_mat4(matrix), translation: matrix.w_axis.truncate() }.inverse()
 }
 
-/// The same `count` Gaussians in front of [`camera`] on every call.
+/// The same `count` Gaussians before [`camera`] on every call.
 pub fn random_scene(count: usize, sh_degree: u32, size: f32) -> Scene {
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut random = |low: f32, high: f32| {

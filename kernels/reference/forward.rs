@@ -109,8 +109,7 @@ fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Tap
     encoded
 }
 
-/// Decodes scene tokens `nearest` to `gauss [K * G, 11 + 3 (degree + 1)^2]`, with every
-/// intermediate result.
+/// Decodes scene tokens `nearest` to `gauss [K * G, 11 + 3 (degree + 1)^2]`, with all taps.
 pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     let architecture = &model.architecture;
     let (width, color_width) = (architecture.width, architecture.color_width);

@@ -55,7 +55,7 @@ pub struct Worst {
     /// Deviation of all elements, relative to the truth's rms.
     #[serde(skip)]
     pub deviation: Tolerance,
-    /// Deviation over the allowance; above 1 is less precise than expected.
+    /// Deviation over the allowance, at most 1 if as expected.
     #[serde(skip)]
     pub typical: f64,
 }

@@ -85,7 +85,7 @@ use zipsplat::{
     ops::{LaneTile, Lanes, LinearKernel, Tiles, Units, Weights},
 };
 
-/// Arithmetic of matrix products, the only difference between modes.
+/// Arithmetic of matrix products.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mode {
     pub factor: Element,

@@ -58,8 +58,8 @@ impl Tolerance {
     /// f64 references against truth stored in f32, where an element may be a dozen times the rms.
     pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
 
-    /// Taps with rounded factors and f16 weights. A block passes about four roundings in a row, at
-    /// random sqrt(4) = 2 of them; the maximum over millions of elements is 8 times that.
+    /// Taps with rounded factors and f16 weights. A block has about four roundings in a row, at
+    /// random sqrt(4) = 2; the maximum over millions of elements is 8 times that.
     pub fn tap_in(arithmetic: Arithmetic) -> Tolerance {
         let u = Self::factor_rounding(arithmetic);
         Tolerance { max: 16.0 * u, rms: 2.0 * u }
@@ -86,7 +86,7 @@ impl Tolerance {
         entry.unwrap_or_else(|| panic!("no tolerance for {field:?}")).1
     }
 
-    /// A few f32 operations, including `exp` and division: Vulkan allows 3 ulp and more.
+    /// A few f32 operations, with `exp` and division: Vulkan allows 3 ulp and more.
     pub const ELEMENTWISE: Tolerance = Tolerance { max: 2e-6, rms: 5e-7 };
 
     /// One exp of |x| <= 20: Vulkan allows 3 + 2 |x| ulp.
@@ -103,13 +103,12 @@ impl Tolerance {
         Tolerance { max: self.max + other.max, rms: self.rms + other.rms }
     }
 
-    /// Scales for a truth whose rms is `factor` times smaller than its summands'.
+    /// Scales for an rms `factor` times smaller than the summands'.
     pub fn times(self, factor: f64) -> Tolerance {
         Tolerance { max: self.max * factor, rms: self.rms * factor }
     }
 
-    /// Sums of comparable f32 products: sqrt(terms) roundings, times 8 for the tail over millions
-    /// of elements.
+    /// Sums of comparable f32 products: sqrt(terms) roundings, times 8 for the tail.
     pub fn sum_of(terms: usize) -> Tolerance {
         let walk = F32_ROUNDING * (terms.max(4) as f64).sqrt();
         Tolerance { max: 8.0 * walk, rms: 2.0 * walk }

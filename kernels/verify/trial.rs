@@ -65,7 +65,7 @@ impl<'a> Trial<'a> {
     }
 
     /// # Errors
-    /// Those of the device, and [`Error::Driver`] for a write behind an output.
+    /// The device's, and [`Error::Driver`] for a write behind an output.
     pub fn run(self) -> Result<Run> {
         let mut run = Run::new(self.device, self.rec.finish()?)?;
         for (tensor, bytes) in &self.inputs {

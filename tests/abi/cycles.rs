@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use zipsplat_c::*;
 use zipsplat_tests::processes::resident_bytes;
 
-/// Allocators and driver threads occasionally grow; a leak grows in every stretch.
+/// Allocators and drivers occasionally grow; a leak grows in every stretch.
 const STRETCHES: usize = 4;
 const WARM_UP: usize = 24;
 /// In MB, of the least growing stretch.

@@ -41,7 +41,6 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     rust_scene(checkpoint, &images, &ReconstructOptions::default()).means
 }
 
-/// `message`: expected output for a number of Gaussians.
 fn assert_reconstructs(example: impl Fn() -> Command, message: impl Fn(usize) -> String) {
     let (folder, photos) = inputs();
     let micro = folder.path().join("micro.safetensors");

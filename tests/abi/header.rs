@@ -58,7 +58,7 @@ fn exported(source: &str) -> Vec<String> {
     let bindings = Builder::new().with_config(config).with_src(path).generate().expect("a source that parses");
     bindings.write(&mut generated);
     let generated = String::from_utf8(generated).expect("text");
-    // Integer fields of an enumeration have its name and `_value`.
+    // Integer fields of an enumeration end in `_value`.
     let generated = generated.replace("_value ", " ").replace("_value;", ";");
     declarations(&generated)
         .into_iter()
@@ -71,7 +71,6 @@ fn is_of_enumeration(declaration: &str) -> bool {
     declaration.starts_with("typedef int32_t") || declaration.starts_with("typedef enum")
 }
 
-/// Writes an enumeration by the header's macro.
 fn enumeration(declaration: String) -> String {
     match declaration.strip_prefix("enum ").and_then(|rest| rest.split_once("\n  : int32_t\n {")) {
         Some((name, body)) => format!("ZS_ENUM({name}) {{{body}"),
@@ -79,7 +78,6 @@ fn enumeration(declaration: String) -> String {
     }
 }
 
-/// Splits C into declarations, without comments and conditions.
 fn declarations(text: &str) -> Vec<String> {
     let is_code = |line: &&str| !is_comment(line) && (!line.starts_with('#') || line.starts_with("#define"));
     let mut found = vec![String::new()];

@@ -9,7 +9,7 @@ macro_rules! sizes {
     ($($name:ident)*) => { vec![$((stringify!($name), size_of::<$name>()),)*] };
 }
 
-/// Fields and constants need no list: the header's declarations follow from the sources.
+/// Needs no list: the header's declarations follow from the sources.
 #[test]
 fn is_what_c_sees() {
     let sizes = sizes! {

@@ -1,5 +1,4 @@
-//! Random valid and invalid calls on a changing set of objects. Successful ones stay bitwise
-//! reproducible.
+//! Random valid and invalid calls on changing objects. Successful ones stay bitwise reproducible.
 
 use crate::calls::*;
 use std::ptr::{null, null_mut};

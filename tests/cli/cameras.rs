@@ -213,7 +213,6 @@ fn photos_of_one_size_share_a_lens_and_folders_lie_in_folders() {
     assert_eq!(seen.trim(), "0/000000.png 0/000001.png 0/000002.png 1/000003.png");
     let names: Vec<String> = folder.capture("transforms.json").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["photos/10.png", "photos/a/b/2.png"]);
-    // A camera whose size is not its photo's.
     model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(30, 40))]);
     folder.run(line).fails(3, &["10.png", "30x40", "40x30, as the photo is stored"]);
 }
@@ -333,7 +332,7 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     }
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 16 --size 640x480 -o @/place").success();
-    // COLMAP is not deterministic: a photo may be lost, rarely a whole model is bent.
+    // COLMAP is random: a photo may be lost, rarely a whole model is bent.
     let mut tries = (0..3).map(|_| {
         let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
         let found = folder.capture("place/found.json");

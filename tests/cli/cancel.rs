@@ -89,8 +89,7 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     }
 }
 
-/// Scenes replaced by the result and COLMAP's cameras differ in each run, and converted photos are
-/// new files.
+/// Replaced scenes and COLMAP's cameras differ in each run, and converted photos are new files.
 #[cfg(unix)]
 #[test]
 fn a_refinement_that_cannot_be_repeated_has_no_checkpoint() {

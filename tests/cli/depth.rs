@@ -274,7 +274,6 @@ fn scenes_of_pixels_are_judged() {
     eval("--refine=2 --refine-target tokens").fails(3, &["--refine-target tokens", "weights of ZipSplat"]);
     eval("--crop tiles").fails(3, &["--crop tiles", "weights of ZipSplat"]);
     eval("--max-gaussians-per-token 200").fails(3, &["--max-gaussians-per-patch", "1 to 196"]);
-    // Single-view networks get their scale from points.
     let alone = "eval @/place --views 3 --weights @/alone.safetensors --input-size 42x28";
     assert!(folder.run(&format!("{alone} --json")).json()["mean"]["psnr"].as_f64().is_some());
     folder.run(&format!("{alone} --pose-free")).fails(3, &["da3-micro-alone", "no camera decoder"]);

@@ -279,7 +279,6 @@ fn colors_are_corrected_where_exposures_were_learned() {
     assert!(json["mean"]["color_corrected_psnr"].is_null() && json["refined"]["exposures"].is_null());
 }
 
-/// The camera file names more photos than the folder has.
 #[test]
 fn photos_of_the_folder_alone_are_compared() {
     let folder = place();

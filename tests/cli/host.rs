@@ -103,7 +103,7 @@ fn serve(stream: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     }
 }
 
-/// Redirects within the hub first, as for renamed repositories.
+/// Redirects within the hub first, as for renames.
 fn hub(path: &str, state: &State) -> String {
     let end = "Content-Length: 0\r\nConnection: close\r\n\r\n";
     if let Some(status) = state.refuses {

@@ -109,8 +109,8 @@ impl Folder {
         folder
     }
 
-    /// Adds Depth Anything 3 weights with fields of view near 90 degrees: multi-view
-    /// `da3.safetensors` and single-view `alone.safetensors`.
+    /// Adds Depth Anything 3 weights for about 90 degrees: multi-view `da3.safetensors` and
+    /// single-view `alone.safetensors`.
     fn with_depth(self) -> Self {
         for (name, architecture) in [
             ("da3.safetensors", architectures::depth_micro()),

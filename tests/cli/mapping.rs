@@ -244,7 +244,7 @@ fn cameras_of_long_videos_follow_from_keyframes() {
     let [_, paths] = others[0].split(" --input_path ").collect::<Vec<_>>()[..] else { panic!("{others:?}") };
     let (from, to) = paths.split_once(" --output_path ").expect("an output");
     assert!(others.len() == 1 && from == to && from.ends_with("sparse0/0"), "{others:?}");
-    // All neighbors are matched and all photos mapped if few are registered, as after a failure.
+    // All neighbors are matched and all photos mapped if few are registered.
     for mapper in [mapper.clone(), format!("{mapper};; image_registrator) exit 1")] {
         let [all, chosen, mappers, others] = run(150, &mapper);
         assert_eq!((all.len(), chosen.len()), (0, 2));

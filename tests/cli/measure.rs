@@ -158,7 +158,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
     // Per number of photos: all tokens, and half of them by three selections, twice, in each
-    // arithmetic. First values are also refined twice and rounded twice, points refined once.
+    // arithmetic. First values are also refined and rounded twice, points refined once.
     let has = |precision: &Precision| Arithmetic::of(*precision, device().limits()).is_some();
     let arithmetics = Precision::ALL.iter().filter(|precision| has(precision)).count();
     assert_eq!(points.len(), 2 * (1 + 3) * 2 * arithmetics + 2 * 2 * 2 + 2 * 2 * 2 + 2);
@@ -250,7 +250,6 @@ fn a_sweep_ends_when_its_time_is_over() {
     folder.run(&format!("{line} --minutes 0 -o @/r")).fails_usage();
 }
 
-/// Compared with pooled f64.
 #[test]
 fn pooled_keys_are_points_of_their_own() {
     let folder = Folder::new();
@@ -305,11 +304,9 @@ python3 -c 'import json, sys; code, out, err = json.load(open("outcome")); print
     assert!(names.iter().all(|name| results[name]["failed"].is_null()), "{results}");
     let tables = folder.text("report/tables.md");
     let rows = |start: &str| tables.lines().filter(|line| line.starts_with(start)).count();
-    // Three ratios per number of views, two pools, one in fp32.
     assert_eq!((rows("| 1 | "), rows("| 2 | "), rows("| 200 | "), rows("| 102,000 | ")), (4, 5, 1, 1), "{tables}");
 }
 
-/// The second number of photos does not fit in memory.
 #[test]
 fn a_sweep_that_fails_writes_what_it_measured() {
     let folder = Folder::new();

@@ -47,7 +47,6 @@ fn photos_too_small_for_cameras_are_told() {
     folder.run(&line).fails(3, &["file to replace", "found.json", "--overwrite"]);
 }
 
-/// Cameras beside the photos, and elsewhere.
 #[test]
 fn photos_that_are_given_tell_which_way_is_up() {
     let folder = Folder::new();

@@ -165,7 +165,6 @@ fn cropping_much_is_said() {
     assert_eq!(run("--input-size 56x42"), "");
 }
 
-/// Only the trained size is good.
 #[test]
 fn another_size_than_the_trained_one_is_said() {
     let folder = Folder::new();

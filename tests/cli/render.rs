@@ -209,7 +209,6 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     }
     assert_eq!(folder.run("reconstruct @/place/images --world input-cameras -o @/x.ply").code, 2);
 
-    // The same photos in another reconstruction's world.
     write_transforms(folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
         .expect("cameras");
     for scene in ["first", "own"] {

@@ -189,7 +189,6 @@ fn features_stay_aligned_through_edits() {
     folder.run(&format!("lift @/scene.ply @/labels --labels 3 {cameras} -o @/labels.safetensors")).success();
     let features = "--features @/labels.safetensors";
     let left = |scene: &Scene| scene.means.iter().filter(|mean| mean[0] < 0.0).count();
-    // Formats with an order of their own, and rounded values.
     for name in ["edited.ply", "edited.spz", "edited.sog", "edited.splat"] {
         let edits = "--crop-box -2,-2,0,1.05,2,9 --decimate 0.7 --sort";
         folder.run(&format!("edit @/scene.ply {features} {edits} -o @/{name} --overwrite")).success();

@@ -201,7 +201,7 @@ fn raw_frames_are_the_pictures() {
     assert!(err.contains("size: 37x23"), "{err}");
 }
 
-/// One test: starting a program while writing another can fail.
+/// One test: starting a program while writing one can fail.
 #[test]
 #[cfg(unix)]
 fn mp4_is_piped_to_ffmpeg() {

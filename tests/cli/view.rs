@@ -120,7 +120,7 @@ fn photos_become_scenes_of_several_ratios() {
     assert_eq!(view("--ratios 0.5 --max-gaussians-per-token 2 --json").json()["gaussians"], serde_json::json!([16]));
 }
 
-/// Least and largest of signed rows, within the first half and across.
+/// Least and largest, within the first half and across.
 fn similarities(rows: &[&[u8]]) -> [[f64; 2]; 2] {
     let dot = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| f64::from(*a as i8) * f64::from(*b as i8)).sum::<f64>();
     let cosine = |a: &[u8], b: &[u8]| dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();

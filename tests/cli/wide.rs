@@ -156,7 +156,6 @@ fn photo_spheres_are_cut_into_photos() {
     assert!(outcome.err.contains("into 14 pinhole photos"), "{}", outcome.err);
     let json = outcome.json();
     assert!(json["unmasked_tokens"].as_u64() < json["all_tokens"].as_u64(), "{json}");
-    // The switch is the last word.
     let line = format!("reconstruct @/place/images {micro} {small} -o @/other.ply --json --camera-model");
     assert_eq!(folder.run(&format!("{line} equirectangular --views 1")).json()["views"], 8);
     let line = format!("reconstruct @/spheres {micro} {small} -o @/flat.ply --json --camera-model pinhole");

@@ -95,7 +95,7 @@ pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], toleran
     }
     let sub_key = format!("{key}@sub");
     let sub_shape = golden.shape(&sub_key);
-    // Taps of the network are subsampled along axis 1 (tokens), those of a scene along axis 0.
+    // Network taps are subsampled along axis 1 (tokens), a scene's along axis 0.
     let views = if key.starts_with("bb/") || key.starts_with("prep/") { sub_shape[0] } else { 1 };
     let width = sub_shape[sub_shape.len() - 1];
     let step = golden.i64("sub_step")[0] as usize;

@@ -59,7 +59,7 @@ pub fn realestate(bytes: &[u8]) {
     sound(Capture::open(stored("video.txt", &[b"http\n".as_slice(), bytes].concat())));
 }
 
-/// A COLMAP model with files of `extension`. The first two bytes are the images file's length.
+/// A COLMAP model of `extension`. The first two bytes are the images file's length.
 pub fn colmap(extension: &str, bytes: &[u8]) {
     let Some(([low, high], rest)) = bytes.split_first_chunk::<2>().map(|(length, rest)| (*length, rest)) else {
         return;

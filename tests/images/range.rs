@@ -1,4 +1,4 @@
-//! Scenes and cameras at the limits of f32: drawn correctly or rejected by name.
+//! Scenes and cameras at f32's limits: drawn correctly or rejected by name.
 
 use crate::render::{ALL, bits, render};
 use glam::DVec2;

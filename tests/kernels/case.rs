@@ -25,13 +25,13 @@ pub fn linear_kernels() -> Vec<LinearKernel> {
     panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).chain(dots).collect()
 }
 
-/// Adds limits without addresses for a kernel with a variant that reads by address.
+/// Adds limits without addresses for a variant that reads by address.
 pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits> {
     let bound = (has_twin && limits.addresses).then(|| Limits { addresses: false, ..limits.clone() });
     [limits.clone()].into_iter().chain(bound).collect()
 }
 
-/// Linear kernels that have a variant for 8-bit weights, with the variant.
+/// Linear kernels with their variant for 8-bit weights.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
 }
@@ -45,7 +45,7 @@ pub fn stored(element: Element, values: Vec<f32>) -> Vec<f32> {
     element.decode(&element.encode(&values))
 }
 
-/// Rounds f64 results of at most one rounding to f32, as a kernel computes them.
+/// Rounds f64 results of one rounding to f32, as a kernel.
 pub fn rounded(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&x| x as f32).collect()
 }

@@ -40,7 +40,7 @@ fn every_kernel_is_in_a_family() {
     }
 }
 
-/// Injects each declared fault through its case's check: the deviation exceeds bound and rounding.
+/// Injects each declared fault: the deviation exceeds bound and rounding.
 fn assert_caught(areas: Vec<Area>, in_time: impl Fn(&Area, &Case, Mode) -> bool) {
     let mut missed = Vec::new();
     for area in &areas {

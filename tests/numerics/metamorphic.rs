@@ -28,7 +28,7 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
         let permuted = order.map(|i| images[i].clone());
         let [plain, moved] =
             [&images[..], &permuted].map(|images| mode.reconstruct(images, &ReconstructOptions::default()));
-        // Sums are reordered: both are within the tolerance of their common truth.
+        // Sums are reordered: both are within the tolerance.
         let expected = fields(&plain, 4, &order);
         for ((field, expected), (_, got)) in expected.iter().zip(fields(&moved, 4, &[0, 1, 2, 3])) {
             assert_close(field, &got, expected, mode.tolerance(field).times(2.0));
@@ -38,8 +38,8 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
                 Renderer::new(device()).render_scene(scene, &[camera(64, 48)], &RenderOptions::default()).unwrap();
             frames[0].rgb.clone().unwrap()
         };
-        // In f32, a parameter error of 1e-4 is 80 dB. With narrower factors both may deviate by
-        // their tolerance: 6 dB more.
+        // In f32, a parameter error of 1e-4 is 80 dB. With narrower factors both may deviate: 6 dB
+        // more.
         let alike = psnr(&draw(&plain), &draw(&moved));
         let least = if mode.arithmetic == Arithmetic::EXACT {
             60.0
@@ -137,7 +137,6 @@ fn a_mirrored_scene_is_the_mirrored_picture() {
 fn opaque_layers_hide_what_is_behind() {
     let front = random_scene(500, 0, 0.2);
     let mut wall = front.clone();
-    // Ten layers that each transmit a thousandth.
     for i in 0..10 {
         wall.means.push([0.0, 0.0, 0.5 + 0.01 * i as f32]);
         wall.scales.push([20.0, 20.0, 1e-4]);
@@ -171,8 +170,8 @@ fn exactly_placed(count: usize, sigma: f32) -> Scene {
 #[test]
 fn tiles_apart_are_the_picture_together() {
     let (width, height) = (64, 48);
-    // Projection clamps Gaussians beyond 0.15 of a part from its edge; they must not reach the
-    // part, 3.4 deviations away.
+    // Projection clamps Gaussians beyond 0.15 of a part from its edge; they must not reach it, 3.4
+    // deviations away.
     for (size, [part_width, part_height]) in [(0.4, [16, 16]), (1.0, [32, 48]), (1.0, [32, 24]), (0.6, [32, 16])] {
         let scene = exactly_placed(3_000, size);
         let whole = draw(&scene, width as u32);

@@ -159,7 +159,7 @@ fn reconstructs_and_renders_again_and_again() {
 /// Of lavapipe: subgroups of 4, 8 and 16 lanes.
 const VECTORS: [u32; 3] = [128, 256, 512];
 
-/// Sums are reordered: each is within the tolerance of their common truth.
+/// Sums are reordered: each is within the tolerance.
 #[test]
 fn every_subgroup_size_gives_the_same_scene() {
     if !device().limits().cpu {

@@ -119,7 +119,7 @@ fn every_view_is_seen_by_two_others() {
             };
             let mut shares: Vec<f32> = (0..8).filter(|other| *other != view).map(share).collect();
             shares.sort_by(|a, b| b.total_cmp(a));
-            // The rule samples 144 rays, and pixel centers miss slanted and thin surfaces.
+            // The rule samples 144 rays; pixel centers miss thin surfaces.
             let least = LEAST_OVERLAP - 0.15;
             assert!(shares[WITNESSES - 1] >= least, "seed {seed} ({}), view {view}: seen {shares:?}", capture.family);
         }

@@ -2,7 +2,7 @@ use zipsplat::{depth::DepthNetwork, gpu::Profile, weights::DepthArchitecture};
 use zipsplat_tests::prelude::*;
 
 const ALL: (Ratio, &TokenSelection) = (Ratio::Fixed(1.0), &TokenSelection::KMEANS);
-/// Giga multiply-adds per view: network, size, depth branch with the shared part, ray branch.
+/// Giga multiply-adds per view: network, size, depth and ray branch.
 const HEADS: [(&str, [u32; 2], f64, f64); 4] = [
     ("da3-small", [504, 336], 7.1, 8.6),
     ("da3-small", [252, 252], 2.7, 3.2),
@@ -61,7 +61,6 @@ fn backbones_do_what_is_stated() {
     }
 }
 
-/// Only readback grows with the views.
 #[test]
 fn scratch_of_heads_is_of_one_view() {
     let architecture = DepthArchitecture::named("da3-base").unwrap();
@@ -72,7 +71,7 @@ fn scratch_of_heads_is_of_one_view() {
         network.plan(&limits, shape).unwrap().0.arena_bytes()
     };
     let (few, many) = (bytes(4), bytes(8));
-    // A view: four features, a block's tensors, 2 values a pixel, 7 a ray. A head's map takes more.
+    // A view: four features, a block's tensors, 2 values a pixel, 7 a ray.
     let (tokens, width) = (24 * 36, 768);
     let features = 4 * 4 * 2 * tokens * width;
     let outputs = 4 * (2 * 504 * 336 + 7 * 64 * tokens);

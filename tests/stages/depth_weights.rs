@@ -113,7 +113,6 @@ fn missing_and_foreign_tensors_are_named() {
     assert_refused(DepthCheckpoint::open(&path, DepthHeads::default()), &["width 128", "da3-base"]);
 }
 
-/// Two networks share a layout.
 #[test]
 fn networks_are_told_by_their_shapes() {
     let folder = TempDir::new().unwrap();

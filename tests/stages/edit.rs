@@ -165,7 +165,7 @@ fn merged_gaussians_have_the_mean_and_covariance_of_their_pair() {
     }
     let area = 2.0 * 0.4 * 0.5 * 0.4 / (0.4 * 0.5f32.sqrt());
     assert!((one.opacities[0] - area).abs() < 1e-6, "{}", one.opacities[0]);
-    // Two at one place, as one behind the other.
+    // Two at one place.
     let same = Scene { means: vec![[0.0; 3]; 2], ..pair };
     let one = edited(&same, &[edit("decimate", &[0.5])]);
     assert!((one.opacities[0] - 0.64).abs() < 1e-6, "{}", one.opacities[0]);

@@ -123,7 +123,7 @@ fn matrix_units_cluster_as_lanes() {
     }
 }
 
-/// Tokens nearly equidistant from two centroids may move, except in clusters of two.
+/// Nearly equidistant tokens may move, except in clusters of two.
 #[test]
 fn every_arithmetic_chooses_about_the_same_tokens() {
     for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
@@ -177,7 +177,6 @@ fn builtin() {
     }
 }
 
-/// Smaller groups at the border.
 #[test]
 fn pooled_keys() {
     let golden = Golden::committed("micro.v2_native.safetensors");

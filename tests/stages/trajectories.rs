@@ -119,8 +119,7 @@ const BANANAS: [([f64; 4], [f64; 3]); 7] = [
     ([0.8447, 0.0220, 0.4239, 0.3260], [-2.560, -1.053, 2.495]),
 ];
 
-/// Within 3 % of the cameras' extent around their box; views the bananas within a degree of the
-/// cameras' own offsets.
+/// Within 3 % of the cameras' extent around their box; aims within a degree of the cameras.
 #[test]
 fn splines_through_few_cameras_stay_at_the_scene() {
     let camera = |([w, x, y, z], at): ([f64; 4], [f64; 3])| {

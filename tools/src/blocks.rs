@@ -1,5 +1,3 @@
-//! Passes of the network over blocks of views.
-
 use crate::{options::Size, table::counted};
 use clap::Args;
 use serde_json::{Value, json};
@@ -9,7 +7,7 @@ use zipsplat::{
     types::{Camera, Pose},
 };
 
-/// Relative error of a seam that needs a warning.
+/// Relative error of a seam worth a warning.
 const APART: f64 = 0.25;
 
 #[derive(Args, Clone, Copy, Debug)]
@@ -30,12 +28,12 @@ impl BlockArgs {
         BlockOptions { size: self.block_size, overlap: self.block_overlap }
     }
 
-    /// Checks the blocks of `views` views as far as they do not depend on the device.
+    /// Checks the blocks of `views` views as far as possible without the device.
     pub fn check(self, views: usize, shape: impl Fn(usize) -> Result<Shape>) -> Result<()> {
         BlockLayout::checked(views, self.block_size.unwrap_or(MAX_VIEWS), self.block_overlap, shape).map(drop)
     }
 
-    /// Chooses the blocks of views as [`BlockLayout::blocks`]. Also sets the blocks of `request`.
+    /// Chooses blocks as [`BlockLayout::blocks`] and sets those of `request`.
     pub fn choose(
         self,
         model: &Model,
@@ -50,7 +48,7 @@ impl BlockArgs {
     }
 }
 
-/// Rejects the refinement of tokens, which are of one pass.
+/// Rejects token refinement, which takes one pass.
 pub fn refuse_tokens(blocks: usize) -> Result<()> {
     let found = format!("{blocks} blocks of views");
     if blocks > 1 { Err(Error::argument("--refine-target tokens", found, "views that fit in one")) } else { Ok(()) }

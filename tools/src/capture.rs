@@ -62,7 +62,7 @@ pub struct Score {
 
 impl Choice {
     /// Chooses `views` photos by farthest-point sampling of positions, and all others or `targets`
-    /// evenly spread ones, with all of their frames. Skips frames without a photo.
+    /// evenly spread ones, with their frames. Skips frames without a photo.
     pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         Self::of(Capture::open(folder)?, folder, views, targets)
     }
@@ -159,7 +159,7 @@ impl Choice {
         Ok(cloud.map(|cloud| placed(cloud, &to_world, scene_scale.length)))
     }
 
-    /// `scene_scale` is the length in the cameras' unit that becomes 1; default [`SceneScale::of`].
+    /// `scene_scale` is the unit's length in the cameras' unit; default [`SceneScale::of`].
     pub fn load(&self, seeing: Seeing, scene_scale: Option<f64>, stage: &Stage<'_>) -> Result<ViewSplit> {
         let frames: Vec<&CaptureView> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
@@ -195,7 +195,7 @@ pub fn scale_warning(scale: &SceneScale) -> Option<String> {
 }
 
 impl ViewSplit {
-    /// Changes the unit to the median distance of a scene's Gaussians from the first camera.
+    /// Changes the unit to the Gaussians' median distance from the first camera.
     pub fn rescale_to(&mut self, scene: &Scene, origin: String) -> Result<()> {
         let distances = scene.means.iter().map(|mean| DVec3::from(mean.map(f64::from)).length());
         let length = median(distances).filter(|length| *length > 0.0);

@@ -23,7 +23,7 @@ const MOST_LINES: usize = 3;
 /// Decoded pictures that wait: large ones fill the memory.
 const FRAMES_AHEAD: usize = 2;
 
-/// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns warnings.
+/// Decodes ffmpeg's output in a thread with `read` for `take`. Returns warnings.
 pub fn decode<T: Send + 'static>(
     ffmpeg: &Path,
     file: &Path,

@@ -148,7 +148,7 @@ impl<'a> PredictorOptions<'a> {
         let (tokens, _) = session.stage("features", tokens)?;
         Ok((prepared.known_cameras.unwrap_or_default(), tokens))
     }
-    /// Multi-view networks take the cameras of `known` frames, in their unit of length.
+    /// Multi-view networks take the cameras of `known` frames, in their unit.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&CaptureView]) -> Result<PredictedViews> {
         let (prepared, reading) = session.stage("load photos", |stage| self.read(photos, known, stage))?;
         let device = session.device()?;
@@ -285,8 +285,8 @@ impl PredictedViews {
         Ok(())
     }
 
-    /// Scales single-view depth to meters of a metric head, or to the capture's `points`, by
-    /// those visible in each photo. Multi-view depth stays.
+    /// Scales single-view depth to a metric head's meters, or to the capture's `points` visible in
+    /// each photo.
     pub fn scale(&mut self, metric: bool, points: Option<&Path>) -> Result<()> {
         let (network, Some(cameras)) = (&self.network, &self.cameras) else { return Ok(()) };
         if self.depths.views.iter().all(|view| view.sky.is_none()) {
@@ -324,7 +324,7 @@ impl PredictedViews {
         self.cameras.iter().flatten().enumerate().map(frame).collect()
     }
 
-    /// Confident pixels, at most `keep` per patch, in the frame of `first`, with scaled depth.
+    /// Confident pixels, at most `keep` per patch, in the frame of `first`.
     pub fn scene(&self, first: &Pose, keep: Option<u32>) -> Result<Scene> {
         let cameras: Vec<Camera> = self.cameras.iter().flatten().map(|camera| camera.relative_to(first)).collect();
         let images = self.images();

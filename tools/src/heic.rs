@@ -37,7 +37,7 @@ pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], fold
     Ok(photos)
 }
 
-/// In millimeters for 35 mm film, by EXIF. It tells a phone's lenses apart.
+/// In millimeters for 35 mm film, by EXIF, to tell a phone's lenses apart.
 fn focal_length(picture: &Path) -> Option<u16> {
     let read = exif_of(picture)?;
     let field = read.get_field(exif::Tag::FocalLengthIn35mmFilm, exif::In::PRIMARY)?;

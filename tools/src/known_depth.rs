@@ -1,4 +1,4 @@
-//! Known depth of photos: of sensors, other programs or a depth network.
+//! Depth of photos by sensors, other programs or a depth network.
 
 use crate::{
     depth::PredictorOptions,
@@ -56,7 +56,7 @@ enum Source {
 
 impl KnownDepth {
     /// `source`: a folder, a transforms.json, or the name or weights of a depth network. `cameras`
-    /// are those of the refinement's photos, in a scene whose unit has the length `unit`.
+    /// are the refinement's; the scene's unit has the length `unit`.
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,

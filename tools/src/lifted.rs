@@ -135,7 +135,7 @@ impl ValueFiles {
     }
 }
 
-/// Gives each channel mean 0 and standard deviation 1. Otherwise few channels decide all cosines.
+/// Standardizes each channel: otherwise few decide all cosines.
 fn standardize(views: &mut [PixelValues]) {
     let channels = views.first().map_or(0, |view| view.channels);
     let count = views.iter().map(|view| view.values.len()).sum::<usize>() as f64 / channels.max(1) as f64;

@@ -41,7 +41,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
 }
 
 /// SSIM of pictures that are gray where the mask of `image` ignores pixels, over the windows whose
-/// center it keeps. `b` are the image's values.
+/// center it keeps. `b` are its values.
 pub fn masked_ssim(image: &Image, a: &[f32], b: &[f32]) -> f64 {
     let [a, b] = hidden(image, a, b);
     ssim_where(&a, &b, [image.width as usize, image.height as usize], |center| !image.ignores(center))
@@ -139,8 +139,8 @@ impl LpipsOption {
     }
 }
 
-/// LPIPS of a picture and `image`, both gray where its mask ignores pixels, per kept fraction of
-/// the pixels; `None` as [`lpips`].
+/// LPIPS of a picture and `image`, both gray where its mask ignores pixels, per kept fraction;
+/// `None` as [`lpips`].
 pub fn masked_lpips(network: Option<&mut Perceptual>, image: &Image, picture: &[f32]) -> Result<Option<f64>> {
     let [a, b] = hidden(image, picture, &values(image));
     let kept = image.kept(&image.rgb).len() as f64 / image.rgb.len() as f64;

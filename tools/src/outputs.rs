@@ -18,7 +18,7 @@ use zipsplat::{
 pub const DEPTH_LEVELS: f32 = 1000.0;
 pub const MADE_BY: &str = "zipsplat";
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
-/// Bytes searched at each end of a file.
+/// Bytes searched at a file's ends.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with author marks. `.splat` has none.
 const MARKS: [(&[u8], &[u8]); 24] = [
@@ -109,7 +109,7 @@ pub fn is_own(path: &Path) -> bool {
 }
 
 /// Removes `own` files of a longer earlier run: names of at least three digits, from `count` on,
-/// that end in `extension`.
+/// with `extension`.
 pub fn remove_stale(folder: &Path, count: usize, extension: &str, own: impl Fn(&Path) -> bool) -> Result<()> {
     let failed = |error| Error::io(folder, error);
     for entry in folder.read_dir().map_err(failed)? {
@@ -126,7 +126,7 @@ pub fn remove_stale(folder: &Path, count: usize, extension: &str, own: impl Fn(&
     Ok(())
 }
 
-/// Creates and removes a temporary file in the folder of `path`.
+/// Creates and removes a temporary file beside `path`.
 fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {

@@ -67,9 +67,9 @@ impl PhotoArgs {
 }
 
 impl Reading {
-    /// Also converts videos and HEIC: `frames` per video, or a default. Of `unposed` photos, takes
-    /// `frames` and cuts 360-degree ones, with their masks. The folder of converted photos lies
-    /// beside their camera file, if any.
+    /// Also converts videos and HEIC: `frames` per video, or a default. Takes `frames` of `unposed`
+    /// photos and cuts 360-degree ones, with masks. The folder of converted photos lies beside any
+    /// camera file.
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -202,7 +202,7 @@ fn sorted(folder: &Path, is_kept: fn(&PathBuf) -> bool) -> Result<Vec<PathBuf>> 
     Ok(found)
 }
 
-/// Splits files into photos and others. HEIC pictures beside a photo of the same name are others.
+/// Splits files into photos and others, such as HEIC pictures beside a photo of the same name.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();
@@ -233,7 +233,7 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
-/// Keeps at most `views` photos with known cameras, each as many times as it has views.
+/// Keeps at most `views` photos with known cameras, each once per view.
 pub fn kept(
     session: &mut Session<'_>,
     photos: Vec<PathBuf>,
@@ -288,7 +288,7 @@ pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
-/// At most `count`, evenly spread, with the first and the last.
+/// At most `count`, evenly spread, ends included.
 pub fn spread(photos: Vec<PathBuf>, count: Option<u32>) -> Vec<PathBuf> {
     let count = count.map_or(photos.len(), |count| count as usize);
     if photos.len() <= count {

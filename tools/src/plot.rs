@@ -47,7 +47,7 @@ pub struct Axis<'a> {
 }
 
 /// Returns an SVG with a legend titled `meaning`. Omits non-finite points and series past the
-/// sixth. `beneath` is a gray line without points.
+/// sixth. `beneath` is a gray line.
 pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
     let shown = &series[..series.len().min(COLORS.len())];
     let place = |at: &At| At { x: x.position(at.x), y: y.position(at.y), of: at.of };

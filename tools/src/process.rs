@@ -23,7 +23,7 @@ static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 /// Process in its own group, which ends on drop or with this command.
 pub struct Running(pub Child, Option<Child>);
 
-/// Kills the group of a given number when standard input closes, with this command.
+/// Kills a group when standard input closes, with this command.
 #[cfg(unix)]
 const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 

@@ -2,7 +2,7 @@ use crate::{CANCELLED, process};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Flag for [`Terminal::cancelled`](crate::Terminal), set by SIGINT, SIGTERM or SIGHUP. A second
-/// signal ends the process and its children at once, without removing temporary files.
+/// signal ends the process and its children at once, without cleanup.
 pub fn cancelled_by_signals() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
     if !outlives_terminal() {

@@ -145,7 +145,7 @@ impl Seeing {
 }
 
 impl Views {
-    /// The note needs photo sizes. The first camera has the pose `world` in the cameras' world.
+    /// The first camera has the pose `world` in the cameras' world.
     pub fn new(
         crop: Crop,
         inputs: impl Iterator<Item = NetworkInput>,

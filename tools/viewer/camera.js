@@ -23,7 +23,7 @@ class ViewCamera {
     }
 
     // Axes: right, down, forward; the orbit center is `distance` ahead. An input camera shifts its
-    // slopes, x / z and y / z, and stretches x.
+    // slopes and stretches x.
     place(eye, axes, distance) {
         Object.assign(this, { eye: [...eye], axes: axes.map(axis => [...axis]), distance, shift: [0, 0], stretch: 1 });
     }
@@ -88,7 +88,7 @@ function distanceAhead(points, eye, axes) {
     return depths.length > count / 2 ? median(depths) : null;
 }
 
-// From the origin, the first photo's camera, if the scene lies ahead, else from in front of it.
+// From the origin, the first photo's camera, if the scene lies ahead, else in front of it.
 function firstView(points) {
     const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], ahead = distanceAhead(points, [0, 0, 0], axes);
     const all = Array.from({ length: points.length / 3 }, (_, i) => Array.from(points.subarray(3 * i, 3 * i + 3)));

@@ -3,7 +3,7 @@
 const REACH = 22; // pixels from a handle's center
 const AXES = ["#f66", "#6d6", "#69f"];
 const FACES = [0, 1, 2].flatMap(axis => [-1, 1].map(side => ({ axis, side })));
-const LEAST_SLOPE = 0.3; // limits the speed of handles that move along the line of sight
+const LEAST_SLOPE = 0.3; // limits the speed of handles along the line of sight
 
 class Edit {
     constructor(page) {
@@ -30,7 +30,7 @@ class Edit {
 
     get shown() { return !element("edit").hidden && this.ready; }
 
-    // A part of a scene that is still arriving is not edited.
+    // A scene that is still arriving is not edited.
     get ready() { return Boolean(this.page.scene?.drawable) && !this.page.scene.partial; }
 
     get picks() { return this.shown && element("object").selected; }
@@ -91,7 +91,7 @@ class Edit {
         this.page.change();
     }
 
-    // Counts, and edits if `act` is given. The latest count waits for the previous answer.
+    // Counts, and edits by `act`. The latest count waits for the previous answer.
     ask(act) {
         const { page, marked: volume } = this;
         if (!act && this.waits) return void (this.again = true);

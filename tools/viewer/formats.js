@@ -3,7 +3,7 @@
 //
 // A scene has `count` Gaussians in the engine's axes: means [N, 3], linear scales [N, 3], quats [N,
 // 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest` [N, K - 1, 3], half floats.
-// Opacities of `antialiased` scenes are for a renderer that compensates its blur.
+// Opacities of `antialiased` scenes are for blur compensation.
 
 const SH_0 = 0.2820947917738781;
 
@@ -77,7 +77,7 @@ async function readPly(bytes, progress, whole = true) {
     const degree = [0, 3, 8, 15].indexOf(perChannel);
     if (degree < 0) throw new Error(`The PLY has ${3 * perChannel} coefficients f_rest, where 0, 9, 24 or 45 are usual.`);
     const view = new DataView(bytes.buffer, bytes.byteOffset), columns = [...properties.values()];
-    // Fast path for float-only files.
+    // For float-only files.
     const values = columns.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
     const reader = name => {
         const { at, read } = properties.get(name);

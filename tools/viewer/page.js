@@ -4,8 +4,8 @@ const counted = (count, what) => `${count.toLocaleString("en")} ${what}${count =
 const sized = bytes => bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
 
 const SLOW = 60; // milliseconds per frame; slower motion lowers the resolution
-const PREVIEWED = 1 << 24; // bytes; smaller scenes are shown when they are whole
-const FIRST = 1 / 16; // part of a scene that is shown first, then four times as much
+const PREVIEWED = 1 << 24; // bytes; smaller scenes are shown whole
+const FIRST = 1 / 16; // part shown first, then four times as much
 const REST = 250; // idle milliseconds before full resolution
 
 class Page {

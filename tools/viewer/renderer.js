@@ -214,7 +214,7 @@ void main() {
     else if (show == 2) rgb = 0.5 + 0.5 * seen.rgb / max(length(seen.rgb), 1e-12);
     else if (show == 3) rgb = seen.rgb;
     rgb = clamp(rgb, 0.0, 1.0);
-    shown = vec4(floor(rgb * 255.0 + 0.05) / 255.0, 1); // the rest is for what half precision lost
+    shown = vec4(floor(rgb * 255.0 + 0.05) / 255.0, 1); // the rest offsets half-precision loss
 }`;
 
 class Renderer {

@@ -59,7 +59,7 @@ function sampled({ means }, gone, count) {
 
 const median = values => [...values].sort((a, b) => a - b)[values.length >> 1];
 
-// Near plane: 0.01, less for scenes with an extent below 0.1, as in zipsplat render.
+// Near plane: 0.01, less for extents below 0.1, as in zipsplat render.
 function nearPlane(sample, scales) {
     const axis = k => sample.filter((_, i) => i % 3 === k), axes = [0, 1, 2].map(axis), center = axes.map(median);
     const distance = median(axes[0].map((_, i) => Math.hypot(...axes.map((values, k) => values[i] - center[k]))));
@@ -163,7 +163,7 @@ function counts(scene, volume) {
     return { count, faint, inside, edits };
 }
 
-// Edits that would leave none or all are refused: the number of edits stays.
+// Edits that would leave none or all are refused.
 function edit(scene, act, volume) {
     const before = counts(scene, volume), { gone } = scene, { count, inside } = before, removed = act === "keep" ? count - inside : inside;
     if (!act) return before;
@@ -187,8 +187,8 @@ async function save({ gone }, file, name, kind) {
 
 const digits = [new Uint32Array(65536), new Uint32Array(65536)];
 
-// Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits. The
-// highest bit marks the object.
+// Visible Gaussians beyond the near plane, far to near: a stable radix sort. The highest bit marks
+// the object.
 function sorted({ means, count, opacities, near, gone, marks, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = digits;
     low.fill(0);
@@ -223,7 +223,7 @@ onmessage = async ({ data }) => {
         await save(scenes.get(data.save), data.file, data.name, data.kind).then(blob => postMessage({ save: data.save, blob }), failed);
     } else {
         newest.set(data.load, data);
-        // A part that is overtaken shows nothing new, unless it is the first.
+        // An overtaken part shows nothing new, unless it is the first.
         const overtaken = () => !data.whole && scenes.has(data.load) && newest.get(data.load) !== data;
         loads = loads.then(() => overtaken() || load(data)).catch(error => {
             const words = error instanceof RangeError ? "The scene is larger than this browser's memory." : error.message;

@@ -1,7 +1,7 @@
 // Zstandard decompression (RFC 8878), without dictionaries and checksums. Tables map a state to its
 // symbol, bit count and, in FSE tables, next base state.
 
-// Extra bits of literal and match length codes; each baseline is the end of the one before.
+// Extra bits of literal and match length codes; baselines are the previous ends.
 const LENGTH_BITS = [
     [...Array(16).fill(0), 1, 1, 1, 1, 2, 2, 3, 3, 4, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16],
     [...Array(32).fill(0), 1, 1, 1, 1, 2, 2, 3, 3, 4, 4, 5, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16],
@@ -60,7 +60,7 @@ function fseTable(log, counts) {
     return { log, table };
 }
 
-// A table's description, and the bytes that it takes.
+// A table's description and its bytes.
 function readFse(bytes) {
     const bits = new Bits(bytes), log = 5 + bits.read(4), counts = [];
     for (let left = 1 << log; left > 0;) {
@@ -112,7 +112,7 @@ function huffmanStream({ log, table }, bytes, out) {
     }
 }
 
-// Literals of a block, and the bytes that they take.
+// A block's literals and their bytes.
 function readLiterals(bytes, tables) {
     const type = bytes[0] & 3, format = bytes[0] >> 2 & 3, bits = new Bits(bytes);
     if (type < 2) {

@@ -1,4 +1,4 @@
-//! Conversion between the engine's axes (x right, y down, z forward) and formats with y up.
+//! Conversion of the engine's axes (x right, y down, z forward) to y up.
 //!
 //! Both are half turns and their own inverse. About x: x right, y up, z backward (SPZ, OpenGL).
 //! About z: x left, y up, z forward (glTF).

@@ -34,8 +34,8 @@ impl Fitting {
 const A: f64 = -0.75;
 const BITS: i32 = 11;
 
-/// Resizes `count` photos, which `photo` opens, by default to the network's bound. If sizes differ,
-/// crops all to the common center.
+/// Resizes `count` photos, which `photo` opens, by default to the network's bound. Crops different
+/// sizes to the common center.
 ///
 /// # Errors
 /// Those of `photo`, and [`Error::Argument`] if the bound is less than a patch.
@@ -114,7 +114,7 @@ fn check(photo: &Image, bound: u32) -> Result<()> {
     Err(Error::argument("longest side", bound, format!("{PATCH} to 8192 pixels")))
 }
 
-/// Rounds as OpenCV: means in f32, interpolation in fixed point, exact in f64.
+/// Rounds as OpenCV: means in f32, interpolation in fixed point.
 fn resized(photo: &Image, [width, height]: [u32; 2], cubic: bool) -> Result<Image> {
     if [photo.width, photo.height] == [width, height] {
         return Ok(photo.clone());

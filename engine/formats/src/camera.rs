@@ -236,7 +236,7 @@ pub fn quaternion_from_matrix(rotation: &DMat3) -> [f64; 4] {
     products.map(|product| sign * product / (2.0 * squares[largest].sqrt()))
 }
 
-/// Normalizes a nonzero quaternion in f64, where squares of f32 neither overflow nor vanish.
+/// Normalizes a nonzero quaternion in f64: squares of f32 may overflow or vanish.
 pub fn unit_quaternion(quat: [f32; 4]) -> [f32; 4] {
     let quat = quat.map(f64::from);
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();

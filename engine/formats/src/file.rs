@@ -44,8 +44,8 @@ fn kind_of(kind: FileType) -> &'static str {
     if kind.is_dir() { "a folder" } else { "something else" }
 }
 
-/// Writes a temporary file and renames it to `path`: readers never see a partial file. Writes
-/// directly to other file types, such as pipes and `/dev/stdout`.
+/// Writes a temporary file and renames it to `path`. Writes directly to other file types, such as
+/// pipes and `/dev/stdout`.
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let special = path.metadata().is_ok_and(|found| !found.is_file());
     let written = if special { write_through(path, write) } else { write_beside(path, write) };
@@ -90,7 +90,7 @@ fn clean_once(folder: &Path) {
     remove_stale(folder, PREFIX, FileType::is_file, |path| std::fs::remove_file(path));
 }
 
-/// Removes a prefix's files or folders that no process has locked, as far as possible.
+/// Removes a prefix's unlocked files or folders, as far as possible.
 pub fn remove_stale(
     folder: &Path,
     prefix: &str,

@@ -1,5 +1,3 @@
-//! Photos of a folder.
-
 use super::Image;
 use crate::{Error, Result};
 use rayon::prelude::*;

@@ -1,12 +1,10 @@
-//! Interface of scene formats.
-
 use std::io::Write;
 
 use super::{Scene, World, source::Source};
 use crate::Result;
 
 pub(super) struct Format {
-    /// Possible magic bytes; empty if only the extension identifies the format.
+    /// Possible magic bytes; empty if only the extension decides.
     pub marks: &'static [&'static [u8]],
     /// Whether harmonics above degree 0 are stored.
     pub view_dependence: bool,
@@ -18,7 +16,7 @@ pub(super) struct Format {
     pub read: fn(Source<'_>) -> Result<Scene>,
     /// Reads the line of [`World::parse`], if the format can store a world.
     pub world: Option<ReadLine>,
-    /// Prepares a valid scene, in the file's order, for writing. Errors leave the file untouched.
+    /// Prepares a valid scene, in the file's order. Errors leave the file untouched.
     pub write: for<'a> fn(&'a Scene, &SaveOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 

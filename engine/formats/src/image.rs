@@ -217,7 +217,7 @@ pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     Image::new(width as u32, height as u32, rgb)
 }
 
-/// Reads only the start of files that are no photos, which may be large.
+/// Reads only the start of other files, which may be large.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let failed = |source| Error::io(path, source);
     let (mut file, mut bytes) = (open_file(path)?, Vec::new());
@@ -330,8 +330,8 @@ const JPEG_SCAN: u8 = 0xda;
 const JPEG_END: [u8; 2] = [0xff, 0xd9];
 const NO_JPEG_END: &str = "truncated: found a JPEG without its end marker, expected a whole file";
 
-/// Rejects a truncated JPEG without decoding it. Reads the last bytes, and the whole file only if
-/// the end marker is not among them, as before a trailer.
+/// Rejects a truncated JPEG without decoding it. Reads the whole file only if its last bytes lack
+/// the end marker, as before a trailer.
 ///
 /// # Errors
 /// [`Error::Format`] without an end marker.
@@ -344,8 +344,8 @@ pub fn check_jpeg_end(path: impl AsRef<Path>) -> Result<()> {
     if end == JPEG_END || jpeg_has_end(&read(path)?) { Ok(()) } else { Err(Error::format(path, None, NO_JPEG_END)) }
 }
 
-/// The decoder pads truncated JPEGs with gray. Searches after the start of scan, because thumbnails
-/// in earlier segments have end markers, too.
+/// The decoder pads truncated JPEGs with gray. Searches after the start of scan: earlier thumbnails
+/// have end markers, too.
 fn jpeg_has_end(bytes: &[u8]) -> bool {
     let mut at = JPEG_START.len();
     while let Some(&[0xff, marker, high, low]) = bytes.get(at..at + 4) {

@@ -1,4 +1,4 @@
-//! Lenses that distort, and the pinhole views of their photos.
+//! Distorting lenses, and pinhole views of their photos.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -23,7 +23,7 @@ const CIRCLE_DEG: f64 = 85.0;
 /// Resolution of a field of view, in degrees.
 const STEP_DEG: f64 = 0.25;
 
-/// The lower bound limits fisheye lenses, which may see half the world.
+/// The lower bound limits fisheye lenses.
 const ZOOM: [f64; 2] = [0.7, 4.0];
 const FISHEYE_ZOOM: [f64; 2] = [1.0, 4.0];
 const HALVINGS: usize = 40;
@@ -65,7 +65,7 @@ pub enum Distortion {
     },
     /// OpenCV's fisheye model: radius `t (1 + k1 t² + k2 t⁴ + ...)` for angle t from the axis.
     Fisheye([f64; 4]),
-    /// Longitude and latitude of a 360-degree photo, whose center is on the axis.
+    /// Longitude and latitude of a 360-degree photo, centered on the axis.
     Equirectangular,
 }
 
@@ -127,8 +127,8 @@ impl Lens {
     ///
     /// Lenses of up to [`MAX_VIEW_DEG`] across and down, and perspective lenses without a
     /// denominator, have one view of the photo's size: the widest that the photo fills, with its
-    /// principal point and both focal lengths scaled alike. Photos of wider lenses are cut into
-    /// overlapping squares of [`CUT_VIEW_DEG`].
+    /// principal point and both focal lengths scaled alike. Wider photos are cut into overlapping
+    /// squares of [`CUT_VIEW_DEG`].
     ///
     /// # Errors
     /// [`Error::Argument`] with `name` for coefficients without such a camera.
@@ -166,7 +166,7 @@ impl Lens {
     }
 
     /// Makes the shown view's picture of a photo, at its resolution, by cubic interpolation. Masks
-    /// the pixels of cut fisheye photos that the lens does not show.
+    /// pixels of cut fisheye photos outside the lens.
     pub fn undistort(&self, photo: &Image) -> Result<Image> {
         photo.validate()?;
         let size = [photo.width, photo.height];
@@ -281,8 +281,7 @@ impl Lens {
         Field { across: across.min(reach), down: down.min(reach), reach }
     }
 
-    /// Returns the angle from the axis to the photo's edge in a direction, or to where the
-    /// polynomial folds back.
+    /// Returns the angle from the axis to the photo's edge, or to where the polynomial folds back.
     fn extent(&self, direction: [f64; 2]) -> f64 {
         let length = direction[0].hypot(direction[1]);
         let (i, mut before) = (&self.intrinsics, 0.0);

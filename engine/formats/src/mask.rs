@@ -10,7 +10,7 @@ use super::image::{Image, decode, into_rgb};
 use super::resample::window;
 use crate::{Error, Result};
 
-/// Value of masked pixels where both pictures of a comparison need one.
+/// Value of masked pixels in both pictures of a comparison.
 pub const MASKED: u8 = 128;
 const KEPT: u8 = 255;
 
@@ -172,7 +172,7 @@ impl Image {
         places.map(|at| mask[at]).min().unwrap_or(0)
     }
 
-    /// Returns the resized mask: keeps pixels whose filter's central lobe has only kept ones.
+    /// Returns the resized mask: keeps pixels whose filter's central lobe is kept.
     pub(super) fn resized_mask(&self, [width, height]: [u32; 2]) -> Option<Vec<u8>> {
         let mask = self.mask.as_ref()?;
         let lobes = |inputs: u32, outputs: u32| {

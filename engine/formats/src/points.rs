@@ -7,7 +7,7 @@ use rstar::{RTree, primitives::GeomWithData};
 use std::iter::repeat_n;
 
 const NEIGHBORS: usize = 3;
-/// Maximum Gaussian size over the nearest camera's distance: isolated points are often wrong.
+/// Maximum Gaussian size over the nearest camera's distance, for isolated wrong points.
 const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
 /// Few photos' views do not determine more.

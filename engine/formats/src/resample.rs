@@ -47,7 +47,7 @@ struct Taps {
     weights: Vec<i32>,
 }
 
-/// Fraction bits of Pillow's weights: 32 minus 8 for the sample and 2 for overshoot.
+/// Fraction bits of Pillow's weights: 32 less 8 for the sample, 2 for overshoot.
 const FRACTION_BITS: u32 = 22;
 const HALF: i32 = 1 << (FRACTION_BITS - 1);
 

@@ -1,5 +1,3 @@
-//! Little-endian numbers of binary files.
-
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Scalar {
     I8,

@@ -71,7 +71,7 @@ impl Scene {
         distance.or_else(|| median(self.scales.iter().step_by(step).map(size))).unwrap_or(0.0)
     }
 
-    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1.
+    /// Returns the near plane: [`NEAR`], less for extents below 0.1.
     pub fn near(&self) -> f32 {
         near(self.extent())
     }
@@ -178,8 +178,8 @@ impl Scene {
         });
     }
 
-    /// Keeps the `count` most visible of every `group` consecutive Gaussians, such as a token's, in
-    /// order. Visibility is opacity times the two largest scales; ties keep the first.
+    /// Keeps the `count` most visible of every `group` consecutive Gaussians, such as a token's.
+    /// Visibility is opacity times the two largest scales; ties keep the first.
     pub fn keep_most_visible(&mut self, group: usize, count: usize) {
         self.keep(&self.most_visible(group, count));
     }

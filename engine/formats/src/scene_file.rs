@@ -1,4 +1,4 @@
-//! Scene files: a module and a row of the table below per format.
+//! Scene files: a module and a table row per format.
 
 use std::borrow::Cow;
 use std::io::Read;
@@ -108,7 +108,7 @@ impl SceneFormat {
         self.format().antialiased
     }
 
-    /// Returns the Gaussians in the order of a file, if the format has its own.
+    /// Returns the Gaussians in a file's order, if the format has one.
     pub fn order(self, scene: &Scene) -> Option<Vec<usize>> {
         self.format().order.map(|order| order(scene))
     }

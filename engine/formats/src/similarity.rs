@@ -103,7 +103,7 @@ impl Similarity {
     }
 }
 
-/// Averages quaternions: collinear positions would leave a rotation undetermined.
+/// Averages quaternions: collinear positions do not determine a rotation.
 fn mean_turn(turns: impl Iterator<Item = DMat3>) -> DMat3 {
     let mut sum = DVec4::ZERO;
     for turn in turns {

@@ -1,4 +1,4 @@
-//! Input of a scene: a file, or bytes in memory.
+//! A scene's file, or bytes in memory.
 
 use std::borrow::Cow;
 use std::fs::File;

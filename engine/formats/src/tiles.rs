@@ -1,6 +1,5 @@
-//! Networks trained on squares handle other shapes badly, and their camera encoders ignore
-//! principal points. So each square gets its own camera at the same position, turned to the
-//! square's center.
+//! Networks trained on squares handle other shapes badly and ignore principal points: each square
+//! gets its own camera, turned to its center.
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;

@@ -1,5 +1,3 @@
-//! A scene's world, as stored in files.
-
 use std::fmt;
 
 use glam::DVec3;
@@ -24,8 +22,7 @@ const SEPARATOR: char = '\t';
 pub struct World {
     /// The coordinate frame.
     pub origin: Origin,
-    /// Names and camera centers of the first photo and the farthest one. They tell whether other
-    /// cameras share the world.
+    /// Names and camera centers of the first photo and the farthest one, to recognize the world.
     pub landmarks: Vec<(String, DVec3)>,
     /// Size and field of view of the first photo.
     pub lens: Option<Intrinsics>,

@@ -1,4 +1,4 @@
-//! Cameras from pixel rays, on the host in f64.
+//! Cameras from pixel rays.
 //!
 //! Directions are d ~ A p with A = R K^-1, found by iteratively reweighted least squares on d x A p
 //! (Holland and Welsch 1977) and QR factorization.

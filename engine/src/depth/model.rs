@@ -32,8 +32,7 @@ pub struct DepthModel {
 pub struct DepthOptions {
     /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// Reference view without cameras; by default the most typical of three or more, else the
-    /// first.
+    /// Reference view without cameras; by default the most typical from three on, else the first.
     pub reference_view: Option<usize>,
     /// Ratio of patches in [`DepthPrediction::scene`].
     pub ratio: Ratio,

@@ -32,7 +32,7 @@ impl DepthPrediction {
     /// Returns a Gaussian per confident pixel of the kept patches, in the cameras' world.
     ///
     /// Without a head they are isotropic, with opacity by confidence. Sky and masked pixels have
-    /// none. `keep` limits patches to their most visible Gaussians.
+    /// none. `keep` limits them per patch, by visibility.
     pub fn scene(&self, cameras: &[Camera], images: &[Image], keep: Option<usize>) -> Scene {
         let of_head = self.views.iter().any(|view| view.gaussians.is_some());
         let mut scene = Scene { sh_degree: if of_head { 2 } else { 0 }, ..Scene::default() };

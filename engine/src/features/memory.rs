@@ -27,8 +27,8 @@ pub struct LiftMemory {
 }
 
 impl LiftMemory {
-    /// Plans without a device, for values of `cells` columns and rows per photo. The arena grows
-    /// beyond four tile intersections per Gaussian in a photo.
+    /// Plans without a device, for `cells` columns and rows per photo. The arena grows beyond four
+    /// tile intersections per Gaussian.
     ///
     /// # Errors
     /// As [`FeatureRenderer::lift`](super::FeatureRenderer::lift).

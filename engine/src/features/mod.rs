@@ -40,7 +40,7 @@ pub struct PixelValues {
 }
 
 impl PixelValues {
-    /// Splits values `[views, rows, columns, channels]`, a cell per patch.
+    /// Splits `[views, rows, columns, channels]`, a cell per patch.
     pub(crate) fn of_patches(grid: ViewGrid, channels: usize, values: &[f32]) -> Vec<Self> {
         let (width, height) = (grid.columns as u32, grid.rows as u32);
         let view = |values: &[f32]| Self { width, height, channels, values: values.to_vec() };
@@ -221,7 +221,7 @@ impl FeatureRenderer {
         Ok(pictures)
     }
 
-    /// Returns zeroed memory. Plans belong to one.
+    /// Returns zeroed memory; plans belong to one.
     fn part(&mut self, rows: usize, vectors: &[usize]) -> Result<Part> {
         self.plans.clear();
         Part::new(self.arena.device(), rows, vectors)
@@ -233,7 +233,7 @@ impl FeatureRenderer {
         Ok(self.renderer.scene().expect("just set").clone())
     }
 
-    /// Runs a job of one camera until its intersections fit.
+    /// Runs one camera's job until its intersections fit.
     fn run(
         &mut self,
         scene: &DeviceScene,
@@ -280,14 +280,14 @@ fn check_values(values: &PixelValues, i: usize, channels: usize) -> Result<()> {
     Ok(())
 }
 
-/// Returns the cells to lift from: those given, or pixels if these are fewer.
+/// Returns the cells to lift from: those given, or fewer pixels.
 fn lifted_cells(cells: [u32; 2], camera: &Camera) -> [u32; 2] {
     let pixels = [camera.intrinsics.width, camera.intrinsics.height];
     let count = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
     if count(cells) > count(pixels) { pixels } else { cells }
 }
 
-/// Returns the values of [`lifted_cells`]: of each pixel's cell, as the kernel chooses it.
+/// Returns the values of [`lifted_cells`], chosen as in the kernel.
 fn at_pixels(values: PixelValues, camera: &Camera) -> PixelValues {
     let cells = [values.width, values.height];
     let [width, height] = lifted_cells(cells, camera);

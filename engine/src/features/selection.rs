@@ -6,7 +6,7 @@ const NEIGHBORS: usize = 8;
 
 impl Lifted {
     /// Returns the features of a scene's Gaussians after edits or reordering: `sources` are their
-    /// former indices. Features of tokens become those of the tokens' Gaussians.
+    /// former indices. Token features become those of the Gaussians.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -37,8 +37,7 @@ impl Lifted {
         Ok(())
     }
 
-    /// Returns the Gaussians with at least `least` in a channel and a weight of at least `pixels`,
-    /// such as those inside a lifted mask.
+    /// Returns the Gaussians with at least `least` in a channel and a weight of at least `pixels`.
     pub fn at_least(&self, channel: usize, least: f32, pixels: f32) -> Vec<usize> {
         let Features { values, channels, group } = &self.features;
         let rows = zip(values.chunks_exact(*channels), &self.weights).enumerate();
@@ -46,8 +45,8 @@ impl Lifted {
         rows.flat_map(|(row, _)| row * group..(row + 1) * group).collect()
     }
 
-    /// Returns the Gaussians whose features have at least this cosine similarity with the seeds'
-    /// mean, and that such nearest neighbors connect with a seed.
+    /// Returns the Gaussians of at least this cosine similarity with the seeds' mean that such
+    /// nearest neighbors connect with a seed.
     ///
     /// # Errors
     /// [`Error::Argument`] if the features are another scene's, or no seed has any or is in it.

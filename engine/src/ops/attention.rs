@@ -90,8 +90,8 @@ impl AttentionKernel {
 }
 
 impl Attention {
-    /// Allocates queries, keys, values and `[sequences, common_keys]` f32 that scores of common keys are
-    /// increased by. Without these, the last aliases the keys.
+    /// Allocates queries, keys, values and `[sequences, common_keys]` f32, terms of common keys'
+    /// scores. Without common keys, the last aliases the keys.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
         let (limits, channels) = (rec.limits(), self.channels());
         let own = |keys: usize| (self.own_first(limits) + self.heads.count * self.sequences * keys) * channels;

@@ -33,7 +33,7 @@ pub(super) struct Mlp {
     activation: Activation,
 }
 
-/// Sequences in a residual stream `[sequences * tokens, width]`.
+/// Sequences in `[sequences * tokens, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequences {
     pub count: usize,

@@ -37,7 +37,7 @@ impl FeatureMap {
         self.rows.part(lines.start * self.width..lines.end * self.width).tensor
     }
 
-    /// Clips lines to the map and aligns them; also returns the index of the first.
+    /// Clips lines to the map and aligns them; also returns the first's index.
     pub fn seen(&self, lines: Range<usize>) -> (Tensor, u32) {
         let aligned = aligned_rows(self.line_bytes());
         let first = lines.start / aligned * aligned;

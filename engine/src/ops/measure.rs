@@ -1,6 +1,6 @@
 //! Peak arithmetic and copy throughput, for benchmarks.
 //!
-//! Reports no work, so that the recorder does not split dispatches.
+//! Reports no work: the recorder must not split dispatches.
 
 use super::Units;
 use crate::{

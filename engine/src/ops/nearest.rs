@@ -47,7 +47,7 @@ pub struct NearestRows {
 }
 
 impl Nearest {
-    /// Relative distance within which targets tie, well above rounding.
+    /// Relative distance of ties, well above rounding.
     pub const TIE: f32 = 1.0 / 65536.0;
 
     /// The origin is the mean of `sample`, whose width is a multiple of 4.

@@ -69,7 +69,7 @@ impl ParameterLayout {
         Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic, q8: HashSet::new() }
     }
 
-    /// Keeps these weights in 8 bits. Panics if the arithmetic has 8-bit integers.
+    /// Keeps these weights in 8 bits. Panics for 8-bit arithmetic.
     pub fn with_q8(self, names: impl IntoIterator<Item = String>) -> Self {
         let q8: HashSet<String> = names.into_iter().collect();
         assert!(q8.is_empty() || !self.arithmetic.has_integers(), "weights of 8 bits are rounded once");

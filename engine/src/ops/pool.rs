@@ -14,7 +14,7 @@ pub struct Pool {
     pub grid: [usize; 2],
     /// Unpooled leading tokens.
     pub leading: usize,
-    /// Whether a view's queries see its own tokens in place of its groups.
+    /// Whether a view's queries see its own tokens instead of its groups.
     pub own: bool,
     /// Whether the first view is unpooled.
     pub first: bool,

@@ -63,12 +63,12 @@ pub(super) fn aligned_rows(bytes: usize) -> usize {
     SLICE >> bytes.trailing_zeros().min(SLICE.trailing_zeros())
 }
 
-/// Subgroups per workgroup in kernels with a row per subgroup: one leaves large GPUs idle.
+/// Subgroups per workgroup, a row each: one leaves large GPUs idle.
 pub(super) fn row_subgroups(limits: &Limits) -> u32 {
     if limits.cpu { 1 } else { (128 / limits.subgroup_size).max(1) }
 }
 
-/// Every tensor's part is aligned and fits a binding and the budget.
+/// Every part is aligned and fits a binding and the budget.
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl Iterator<Item = Range<usize>> + use<> {
     let bytes = rec.limits().max_binding_bytes.min(SCRATCH_BYTES) as usize;
     let widest = widths.iter().copied().fold(1, usize::max);

@@ -8,8 +8,7 @@ use crate::{
 /// Each block sums those before it.
 const MAX_BLOCKS: usize = 1024;
 
-/// Least items of a workgroup's block, and the loads per lane that overlap. CPUs have few cores and
-/// short latencies.
+/// Least items of a block, and overlapping loads per lane. CPUs have few cores and short latencies.
 pub(super) fn block_shape(limits: &Limits) -> (usize, u32) {
     if limits.cpu { (1024, 1) } else { (256, (256 / limits.subgroup_size).clamp(1, 8)) }
 }

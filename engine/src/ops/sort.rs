@@ -1,4 +1,4 @@
-//! Stable LSD radix sort with a device-side count; dispatches depend on capacity alone.
+//! Stable LSD radix sort with a device-side count, dispatched by capacity.
 
 use super::scan::{block_shape, exclusive_scan};
 use crate::{

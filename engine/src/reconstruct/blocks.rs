@@ -22,10 +22,10 @@ const MIN_SHARED: usize = 16;
 /// Options of blocks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlockOptions {
-    /// Maximum views of a block, by default as many as fit.
+    /// Maximum views, by default as many as fit.
     pub size: Option<usize>,
-    /// Views that neighboring blocks share, about that many if chosen by position. By default a
-    /// quarter of the size.
+    /// Views that neighboring blocks share, approximate if chosen by position. By default a quarter
+    /// of the size.
     pub overlap: Option<usize>,
 }
 
@@ -66,7 +66,7 @@ pub struct Seam {
 }
 
 impl BlockLayout {
-    /// Smallest block that is chosen for lack of memory.
+    /// Smallest block chosen for lack of memory.
     pub(super) const SMALLEST: usize = 8;
 
     /// Lays out blocks of at most `size` views.
@@ -123,8 +123,8 @@ impl BlockLayout {
     }
 
     /// Chooses each block's views by camera positions, or by order. With cameras and several
-    /// blocks, `scale` returns a block's scene scale from its cameras, in the first's frame, and
-    /// the first's pose.
+    /// blocks, `scale` returns a block's scene scale from its cameras in the first's frame and the
+    /// first's pose.
     pub fn blocks(
         &self,
         cameras: Option<&[Camera]>,
@@ -148,7 +148,7 @@ impl BlockLayout {
         chosen.into_iter().map(block).collect()
     }
 
-    /// Returns a block's own views and all its views. Neighbors halve the views that they share.
+    /// Returns a block's own views and all its views. Neighbors halve shared views.
     fn by_order(&self, block: usize) -> (Vec<usize>, Vec<usize>) {
         let start = |block: usize| block * (self.views - self.size) / (self.count - 1).max(1);
         let border = |block: usize| match block {
@@ -181,7 +181,7 @@ impl BlockLayout {
     }
 }
 
-/// Halves the views across their longest extent until there are `count` parts.
+/// Halves the views across their longest extent, to `count` parts.
 fn halve(mut views: Vec<usize>, count: usize, places: &[DVec3], parts: &mut Vec<Vec<usize>>) {
     if count == 1 {
         return parts.push(views);
@@ -218,7 +218,7 @@ impl Model {
         })
     }
 
-    /// Returns the device's memory without that of others. Kept scenes in use are others'.
+    /// Returns the device's memory without that of others, such as kept scenes in use.
     fn available_bytes(&self) -> u64 {
         // Another thread may be reconstructing.
         let recorded = self.recorded.try_lock();
@@ -228,7 +228,7 @@ impl Model {
         self.device.limits().memory_bytes.saturating_sub(self.device.allocated_bytes().saturating_sub(own))
     }
 
-    /// Checks that the passes fit, and then the scene of all views, which replaces them.
+    /// Checks that the passes fit, then the scene of all views.
     fn check_memory(&self, views: usize, shape: Shape) -> Result<()> {
         let (plan, available) = (self.plan(shape)?, self.available_bytes());
         let mut layout = ResidentLayout::new(self.device.limits());
@@ -240,8 +240,8 @@ impl Model {
         if needed > available { Err(Error::Memory { what, needed, available }) } else { Ok(()) }
     }
 
-    /// As [`Model::reconstruct_views`], in a pass per block. Known cameras place the blocks;
-    /// without them, shared patches do.
+    /// As [`Model::reconstruct_views`], in a pass per block. Known cameras or shared patches place
+    /// the blocks.
     ///
     /// # Errors
     /// Those of [`Model::reconstruct_views`]; [`Error::Argument`] for given tokens, or blocks that
@@ -282,7 +282,7 @@ struct Joined {
     scene: Scene,
     /// Patches of the scene's tokens.
     kept: Vec<u32>,
-    /// Means of the Gaussians of all blocks' tokens, by patch.
+    /// Means of all blocks' tokens, by patch.
     means: HashMap<u32, DVec3>,
     seams: Vec<Seam>,
     skipped_passes: Vec<SkippedPass>,

@@ -97,7 +97,7 @@ impl SceneTokens {
 }
 
 impl Model {
-    /// Runs the backbone, with cameras, scene scale and pooling of `options`.
+    /// Runs the backbone with cameras, scale and pooling of `options`.
     pub fn features(
         &self,
         images: &[Image],
@@ -148,7 +148,7 @@ impl Model {
     }
 
     /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`,
-    /// without tokens of masked patches.
+    /// without masked patches.
     pub fn tokens(
         &self,
         features: &BackboneFeatures,

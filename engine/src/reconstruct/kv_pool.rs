@@ -32,7 +32,7 @@ impl KvPool {
         Self::Fixed { sides: [side; Self::BLOCKS], own: false, first: false }
     }
 
-    /// Returns the rule that `Auto` stands for.
+    /// Replaces `Auto` by its rule.
     pub fn for_views(self, views: usize) -> Self {
         match self {
             Self::Auto if views < 48 => Self::ALL,

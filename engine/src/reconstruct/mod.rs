@@ -95,7 +95,7 @@ struct Recorded {
 const SCENES: usize = 2;
 
 impl Reconstruction {
-    /// Reads the Gaussians of unmasked patches, in their world.
+    /// Reads the Gaussians of unmasked patches.
     pub fn to_scene(&self) -> Result<Scene> {
         let mut scene = self.gaussians.read()?;
         if let Some(tokens) = &self.unmasked {
@@ -232,7 +232,7 @@ impl Model {
     }
 
     /// Calls `work` with the claimed arena and its recorded plan, or with a new arena. If memory is
-    /// short, frees the plan and the arena, which renderings may have grown, and repeats `work`.
+    /// short, frees plan and arena, which renderings may have grown, and repeats `work`.
     fn in_arena<T>(&self, mut work: impl FnMut(&Arena, &mut Option<Recorded>) -> Result<T>) -> Result<T> {
         let (arena, claim) = self.arena.claimed();
         // The claim is exclusive; a panic leaves no partial state.
@@ -249,7 +249,7 @@ impl Model {
         }
     }
 
-    /// Executes a run that writes a scene, without tokens of `masked` patches.
+    /// Executes a run that writes a scene without `masked` patches.
     fn decode(
         &self,
         run: &mut Run,

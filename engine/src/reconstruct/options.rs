@@ -40,12 +40,11 @@ pub struct ReconstructOptions {
     pub ratio: Ratio,
     /// Token selection.
     pub token_selection: TokenSelection,
-    /// Known cameras: of the whole photos, or of the views for
+    /// Known cameras: of whole photos, or of views for
     /// [`Model::reconstruct_views`](super::Model::reconstruct_views).
     pub cameras: Option<Vec<Camera>>,
-    /// Length, in camera and scene units, that the network sees as 1: about the median distance
-    /// from the first camera in training. By default estimated from the cameras and the capture; 1
-    /// without cameras.
+    /// Length, in camera and scene units, that the network sees as 1: in training, about the median
+    /// distance from the first camera. Estimated by default; 1 without cameras.
     pub scene_scale: Option<f64>,
     /// Capture for the default scene scale.
     pub capture: Option<Capture>,

@@ -17,7 +17,7 @@ pub struct Patches {
     pub(super) posed: bool,
 }
 
-/// Fraction of a patch's pixels that are masked if the patch is.
+/// Fraction of masked pixels that masks a patch.
 const MASKED: f64 = 0.5;
 
 /// Returns whether each patch is masked, if any of `images` has a mask.
@@ -49,7 +49,7 @@ impl Patches {
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })
     }
 
-    /// Drops the tokens of masked patches. Returns the other tokens' numbers, if images have masks.
+    /// Drops tokens of masked patches. Returns the others' numbers, if images have masks.
     pub(super) fn drop_masked(&mut self, masked: Option<&[bool]>) -> Option<Vec<usize>> {
         let (masked, all) = (masked?, self.indices());
         let tokens: Vec<usize> = (0..all.len()).filter(|token| !masked[all[*token] as usize]).collect();

@@ -20,7 +20,7 @@ pub struct Prepared {
     pub images: Vec<Image>,
     /// Options for the views.
     pub options: ReconstructOptions,
-    /// Blocks of views, each a pass: one if it holds all.
+    /// Blocks of views, a pass each.
     pub blocks: Vec<Block>,
     /// Relation to the photos.
     pub placement: Placement,
@@ -33,7 +33,7 @@ pub struct Prepared {
 pub struct Placement {
     /// Maps from photos to views.
     pub maps: Vec<PixelMap>,
-    /// Pose of the first camera in the scene's world, unless that is its camera frame.
+    /// Pose of the first camera in the scene's world, unless that is its frame.
     pub pose: Option<Pose>,
 }
 
@@ -60,8 +60,7 @@ impl Model {
         Ok(Reconstruction { placement: Some(placement), ..made })
     }
 
-    /// Prepares `count` photos, which `view` opens and fits to a width and height. Checks options
-    /// before the first.
+    /// Prepares `count` photos, which `view` opens and fits to a size. Checks options first.
     ///
     /// # Errors
     /// Those of [`Model::reconstruct`] and `view`.

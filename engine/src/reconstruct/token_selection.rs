@@ -15,9 +15,9 @@ const MAX_ROUNDS: usize = 100;
 /// Token selection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TokenSelection {
-    /// Tokens nearest to k-means centroids, after a number of rounds.
+    /// Tokens nearest to k-means centroids, after these rounds.
     Kmeans(usize),
-    /// Tokens without mutual nearest neighbors in earlier views, then those with the fewest.
+    /// Tokens with the fewest mutual nearest neighbors in earlier views.
     MutualNearest,
     /// Evenly spread.
     Stride,
@@ -87,7 +87,7 @@ pub enum TokenSampling {
     Indices,
 }
 
-/// Tensors of a selection, if not all tokens are kept.
+/// Tensors of a partial selection.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SelectedTokens {
     /// `[tokens]` u32 input.

@@ -29,7 +29,7 @@ impl Adam {
     }
 }
 
-/// Adam on the host, for a photo's few numbers.
+/// Host Adam for a photo's numbers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HostAdam<const N: usize> {
     pub first: [f64; N],
@@ -44,8 +44,7 @@ impl<const N: usize> Default for HostAdam<N> {
 }
 
 impl<const N: usize> HostAdam<N> {
-    /// Returns the change against `gradient`, with the rate of each number. A non-finite gradient
-    /// changes nothing.
+    /// Returns the change, with the rate of each number: none for a non-finite gradient.
     pub fn step(&mut self, adam: Adam, gradient: [f64; N], rate: impl Fn(usize) -> f64) -> [f64; N] {
         if !gradient.iter().all(|g| g.is_finite()) {
             return [0.0; N];
@@ -95,7 +94,7 @@ impl From<f32> for Rate {
 ///
 /// `moments`, `[len]` each, are in `space` and zero before the first step. The host writes
 /// [`Adam::schedule`] to `schedule` before every step; `rate` scales its rate. Non-finite gradients
-/// or squares leave a value and its moments unchanged.
+/// or squares change nothing.
 #[allow(clippy::too_many_arguments)]
 pub fn record_adam(
     rec: &mut Recorder,

@@ -10,8 +10,7 @@ const AFTER: f64 = 0.4;
 
 /// Adam on a camera-to-world pose.
 ///
-/// Each step optimizes (w, v) = 0 in `pose o (exp(w^), v)`: rotation about and translation along
-/// the camera's own axes.
+/// Each step optimizes (w, v) = 0 in `pose o (exp(w^), v)`, on the camera's own axes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PoseAdam(HostAdam<6>);
 
@@ -87,8 +86,7 @@ mod tests {
         for step in 0..400 {
             let mut gradient = [0.0; 6];
             for point in points {
-                // Gradient of |pose(p) - truth(p)|^2: by a shift in the camera's frame, and by w x
-                // p for a turn.
+                // Gradient of |pose(p) - truth(p)|^2: by a shift, and by w x p for a turn.
                 let by_shift = 2.0 * (pose.rotation.transpose() * (pose.transform(point) - truth.transform(point)));
                 let by_turn = point.cross(by_shift);
                 let both = by_turn.to_array().into_iter().chain(by_shift.to_array());

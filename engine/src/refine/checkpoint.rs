@@ -26,16 +26,16 @@ const VERSION: &str = concat!("2 of zipsplat ", env!("CARGO_PKG_VERSION"));
 pub struct RefineCheckpoint {
     /// Safetensors file, replaced atomically and kept after the refinement.
     pub path: PathBuf,
-    /// Time between writes; also written when `progress` ends the refinement.
+    /// Time between writes; an end by `progress` also writes.
     pub interval: Duration,
     /// Identity of the photos' contents, such as file names and times.
     pub photos: String,
 }
 
-/// Names and values of conditions that a checkpoint and its continuation share.
+/// Conditions that a checkpoint and its continuation share.
 pub(super) type Identity = Vec<(&'static str, String)>;
 
-/// A state that is written, or read in the same order.
+/// State to write, or to read in the same order.
 pub(super) enum State<'a> {
     Save(Vec<Values>),
     Load(SafeTensors<'a>, &'a Path),
@@ -176,7 +176,7 @@ impl RefineCheckpoint {
         read.map(|_| Some(bytes)).map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Checks that a file has the identity, and begins to load it.
+    /// Checks a file's identity and begins to load it.
     pub(super) fn open<'a>(&'a self, bytes: &'a [u8], identity: &Identity) -> Result<State<'a>> {
         let failed = |error| damaged(&self.path, error);
         let metadata = SafeTensors::read_metadata(bytes).map_err(failed)?.1.metadata().clone().unwrap_or_default();

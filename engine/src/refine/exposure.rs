@@ -1,4 +1,4 @@
-//! Exposure of photos: a color transform each, from the scene's colors to the photo's.
+//! A color transform per photo, from the scene's colors.
 
 use super::{
     Exposure, RefineOptions,
@@ -21,14 +21,14 @@ use crate::{
 
 /// Numbers of a transform.
 pub const EXPOSURE_NUMBERS: usize = 12;
-/// Least steps before exposures are learned, until the scene resembles the photos; else a tenth of
-/// all.
+/// Least steps before exposures are learned, else a tenth of all: the scene must resemble the
+/// photos.
 const MIN_WARM_UP: usize = 10;
-/// Factor of half the squared distance from the identity in a photo's loss.
+/// Loss weight of half the squared distance from the identity.
 const PRIOR: f64 = 0.02;
 /// Limit of a photo's first brightness relative to the scene's, and of its inverse.
 const MAX_GAIN: f64 = 4.0;
-/// Part of the squared error that exposures must explain to be learned.
+/// Part of the squared error that learned exposures must explain.
 const EXPLAINED: f64 = 0.2;
 const MAX_RATE: f64 = 0.1;
 
@@ -90,7 +90,7 @@ pub(super) fn first_step(steps: usize) -> usize {
     (steps / 10).max(MIN_WARM_UP)
 }
 
-/// Factors of a drawn picture's colors that fit its photo best.
+/// Color factors that fit a picture to its photo.
 struct Gains {
     factors: [f64; 3],
     /// Squared errors, without and with the factors.
@@ -214,7 +214,7 @@ impl Exposures {
         changes.iter_mut().zip(moved).for_each(|(change, moved)| *change += moved);
     }
 
-    /// Moves the mean of all training photos to the identity, once all are used.
+    /// Moves the training photos' mean to the identity, once all are used.
     pub fn center(&mut self) {
         if !self.training.iter().all(|photo| self.adams[*photo].is_some()) {
             return;

@@ -1,23 +1,23 @@
-//! Floaters: Gaussians in space that the initial scene shows empty. They fit one photo and veil the
-//! pictures of cameras beside it.
+//! Floaters: Gaussians in initially empty space. They fit one photo and veil the pictures of
+//! cameras beside it.
 
 use super::growth::INVISIBLE;
 use crate::types::{Camera, Intrinsics, Pose, Scene, matrix_from_quaternion};
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
-/// Cells of a side of a place's picture. It is twice as wide and high as the camera's: floaters
-/// beside a picture reach into it.
+/// Cells of a side of a place's picture, twice as wide and high as the camera's: floaters beside a
+/// picture reach into it.
 const CELLS: usize = 48;
-/// Least depth relative to the least initial one around a cell, and least distance from a place
-/// relative to that of its `ENOUGH`th nearest initial Gaussian.
+/// Least depth over the least initial one around a cell, and least distance from a place over that
+/// of its `ENOUGH`th nearest initial Gaussian.
 const RATIO: f64 = 0.3;
 /// Fewest initial Gaussians around a cell, and the quantile of all depths for fewer.
 const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
 /// Largest factor of a floater's distance and size; others become invisible.
 const MOST_PUSHED: f64 = 10.0;
-/// Mahalanobis distance up to which a camera is inside a Gaussian.
+/// Mahalanobis radius of a Gaussian for cameras inside it.
 const INSIDE: f64 = 3.0;
 /// Least distance from a place in standard deviations in that direction. Projection is linear: a
 /// wider Gaussian beside a camera veils its whole picture.
@@ -35,7 +35,7 @@ pub(super) struct FreeSpace {
     depths: Vec<Depths>,
     /// Least distances from the places in any direction, for cameras there that look elsewhere.
     distances: Vec<f64>,
-    /// Initial Gaussians around or beside a place, such as a background's.
+    /// Initial Gaussians around or beside a place.
     around: Vec<bool>,
 }
 

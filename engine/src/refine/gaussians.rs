@@ -1,5 +1,4 @@
-//! A step accumulates gradients over plan runs, then updates all Gaussians. Memory is independent
-//! of the number of photos.
+//! A step accumulates gradients over plan runs, so memory is independent of the number of photos.
 
 use super::{
     Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
@@ -20,20 +19,20 @@ use std::sync::Arc;
 
 /// As in 3D Gaussian Splatting: the gradient of a mean over a picture is small.
 pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
-/// Adam's eps for Gaussians, times their number. Gradients far below it, of Gaussians that few
-/// photos constrain, move them by less than a full step.
+/// Adam's eps for Gaussians, times their number. Gradients far below it, as of barely constrained
+/// Gaussians, take less than a full step.
 const EPS: f32 = 0.006;
 /// The same for means, also times the scene scale.
 const MEANS_EPS: f32 = 0.6;
 /// Least scale, and least distance of opacities from 0 and 1, for logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
-/// Limit of a Gaussian's largest scale relative to its middle one: longer needles fit noise.
+/// Limit of the largest scale relative to the middle one: longer needles fit noise.
 const MAX_ANISOTROPY: f32 = 5.0;
 /// Rate of that limit relative to the scales' rate: above 1 to prevail.
 const LIMIT_RATE: f32 = 2.0;
 const MAX_BATCH_PIXELS: usize = 1 << 20;
-/// Cached plans: photos of a few sizes, with and without masks, and their last batches.
+/// Cached plans: a few sizes, with and without masks, and last batches.
 const PLANS: usize = 12;
 
 const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
@@ -70,7 +69,7 @@ pub(super) struct Gaussians {
     depth_weight: f32,
     lpips: Option<LpipsWeights>,
     steps: u32,
-    /// By size and whether photos have masks and depth.
+    /// By size, masks and depth.
     plans: PlanCache<[bool; 2], PhotoPlan>,
     batch_size: usize,
 }
@@ -230,7 +229,7 @@ impl Gaussians {
         }
     }
 
-    /// Runs the plan of photos of one size; `None` after an overflow, and the next is larger.
+    /// Runs the plan of photos of one size; `None` after an overflow, which enlarges the next.
     fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
         self.cleared &= !backward;
         let depth_weight = self.depth_weight;
@@ -269,7 +268,7 @@ impl Gaussians {
         })
     }
 
-    /// Allocates the memory of a step with one photo, whose exposure is learned if `exposed`.
+    /// Allocates a step with one photo, whose exposure is learned if `exposed`.
     pub fn reserve(&mut self, view: &View, exposed: bool) -> Result<()> {
         let learned = self.learns_exposures;
         self.learns_exposures |= exposed;
@@ -291,7 +290,7 @@ impl Gaussians {
     }
 
     /// Passes the root mean squares of the means' gradients to `change`, which returns the
-    /// Gaussians whose moments reset to zero.
+    /// Gaussians whose moments reset.
     pub fn edit(&mut self, change: impl FnOnce(&mut Scene, &[f64]) -> Vec<usize>) -> Result<()> {
         let (mut scene, memory) = (self.scene()?, &self.memories[0]);
         let squares: Vec<[f32; 3]> = memory.read(self.fields[0].moments[1])?;
@@ -335,7 +334,7 @@ pub(super) fn max_batch(pixels: usize) -> usize {
     (MAX_BATCH_PIXELS / pixels).max(1)
 }
 
-/// Moves stored values into the ranges of their spaces.
+/// Clamps stored values to their spaces.
 fn bounded(mut scene: Scene) -> Scene {
     scene.scales.as_flattened_mut().iter_mut().for_each(|scale| *scale = scale.max(LEAST_SCALE));
     scene.quats.iter_mut().for_each(|quat| *quat = unit_quaternion(*quat));

@@ -1,5 +1,5 @@
 //! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024). Plans fix
-//! the number of Gaussians: unlike the paper, all exist from the start and become alive over time.
+//! the number of Gaussians: all exist from the start and become alive over time.
 
 use super::checkpoint::State;
 use crate::{
@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3};
 const DEAD: f32 = 0.005;
 pub(super) const INVISIBLE: f32 = 1.0 / 255.0;
 const MAX_COPIES: usize = 51;
-/// Fractions of the steps: all Gaussians are alive after the first, relocation ends at the second.
+/// Fractions of the steps: end of growth, and of relocation.
 pub(super) const GROWTH_END: f64 = 0.5;
 const RELOCATION_END: f64 = 0.8;
 
@@ -59,8 +59,7 @@ impl Growth {
         changed
     }
 
-    /// Samples by opacity, as in the paper, times gradient: detail is missing where large gradients
-    /// persist.
+    /// Samples by opacity, as in the paper, times gradient, which persists where detail is missing.
     fn choose(&mut self, scene: &Scene, gradients: &[f64], live: &[usize], count: usize) -> Vec<usize> {
         let mut sum = 0.0;
         let add = |i: &usize| {

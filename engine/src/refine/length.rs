@@ -1,4 +1,4 @@
-//! Defaults that follow from a length: number of Gaussians, steps and size of the photos.
+//! Defaults by length: number of Gaussians, steps, size of the photos.
 
 use super::{Photos, RefineOptions, views::fitted};
 use crate::{Error, Result};
@@ -9,14 +9,14 @@ const GROWTH_FROM: usize = 50;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;
 const MOST_GROWTH: f64 = 16.0;
-/// Steps between which these limits allow Gaussians in proportion to the square root of the steps:
-/// fewer Gaussians would stop gaining detail.
+/// Steps between which the limit grows with their square root: fewer Gaussians would stop gaining
+/// detail.
 pub(super) const DETAIL: [usize; 2] = [200, 800];
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
 const ENOUGH_STEPS: u32 = 150;
 const SHORTEST: u32 = 240;
 
-/// Number of Gaussians that a scene of `len` grows to, if it grows.
+/// Number of Gaussians that a scene of `len` grows to, if any.
 pub(super) fn grown_len(
     options: &RefineOptions,
     steps: usize,
@@ -39,7 +39,7 @@ pub(super) fn sizes(photos: &dyn Photos, most: Option<[u32; 2]>, factor: u32) ->
     (0..photos.count()).map(move |i| fitted(photos.size(i), most, factor))
 }
 
-/// Returns the largest number of steps with at most `most` work, at least 1.
+/// Returns the most steps, at least 1, within `most` work.
 pub(super) fn steps_in_time(most: f64, work: impl Fn(usize) -> f64) -> usize {
     // No step is expected to take less than a quarter of one at full size.
     let (mut fits, mut too_many) = (1, (4.0 * most) as usize + 2);
@@ -51,8 +51,8 @@ pub(super) fn steps_in_time(most: f64, work: impl Fn(usize) -> f64) -> usize {
     fits
 }
 
-/// Returns the largest limit of the photos' size, `most` or halved, that allows enough steps in
-/// `time`, and the time of a step.
+/// Returns the largest photo size, `most` or halved, that allows enough steps in `time`, and the
+/// time of a step.
 pub(super) fn size_in_time(
     photos: &dyn Photos,
     most: Option<[u32; 2]>,
@@ -79,7 +79,7 @@ pub(super) fn size_in_time(
     Ok((size, step))
 }
 
-/// Halves every photo of both orientations, unless the largest becomes too small.
+/// Halves photos of both orientations, unless the largest becomes too small.
 fn half_size(photos: &dyn Photos, most: Option<[u32; 2]>) -> Option<[u32; 2]> {
     let largest = sizes(photos, most, 2).max_by_key(|[width, height]| u64::from(*width) * u64::from(*height))?;
     let limit = sizes(photos, most, 2).reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])]);

@@ -50,7 +50,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Fewest photos with a held-out one by default: fewer are all needed for training.
+/// Fewest photos with a held-out one by default: with fewer, all train.
 const HOLD_OUT_FROM: usize = 40;
 /// Limit of the training PSNR in dB for growth by default.
 const GROWTH_BELOW: f64 = 25.0;
@@ -91,8 +91,8 @@ pub struct RefineResult {
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
-    /// Transforms from the kept scene's colors to all photos', if exposures were learned; the
-    /// identity for held-out photos.
+    /// Transforms from the kept scene's colors to all photos', if learned; the identity for
+    /// held-out photos.
     pub exposures: Option<Vec<ColorTransform>>,
     /// Steps of the continued checkpoint, or 0.
     pub resumed_step: usize,
@@ -198,7 +198,7 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
 type Make<'a> = &'a dyn Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>;
 
 /// `make` creates the Gaussians, `hash` identifies their initial values. `len` is their number if
-/// they may grow.
+/// growing.
 fn run(
     arena: &Arena,
     (make, hash): (Make<'_>, &dyn Fn() -> Result<u64>),
@@ -251,7 +251,7 @@ fn run(
         let time_step = |max_image_size: Option<[u32; 2]>| {
             let timed =
                 RefineOptions { max_image_size, max_gaussians: None, holdout_views: Some(0), ..options.clone() };
-            // Opens only the photos of a step.
+            // Opens only a step's photos.
             let (cached, cameras) = (cache(&timed), &cameras[..timed.views_per_step]);
             refinement(cameras, timed, 1, cached)?.time_step()
         };
@@ -274,7 +274,7 @@ fn run(
     let (steps, pace) = match options.length {
         RefineLength::Steps(steps) => (steps, None),
         RefineLength::Time(time) => {
-            // Opening large photos may take long: at least half of the time is for steps.
+            // Opening photos may take long: at least half of the time is for steps.
             let left = time.saturating_sub(begin.elapsed()).max(time / 2);
             let most = left.as_secs_f64() / step.as_secs_f64();
             let steps = steps_in_time(most, |steps| steps as f64 * work(steps).between(0.0, 1.0));

@@ -29,7 +29,7 @@ impl RefineLength {
 }
 
 /// Whether to learn a color transform per photo, for different exposure or white balance. The
-/// scene's colors are the photos' mean: where exposures are equal, held-out photos fit worse.
+/// scene's colors are the photos' mean; with equal exposures, held-out photos fit worse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Exposure {
     /// If a factor per photo and color explains much of the error after the first steps.
@@ -50,8 +50,7 @@ pub struct RefineOptions {
     pub views_per_step: usize,
     /// Largest width and height of photos; larger ones are downscaled. `None`: full size.
     pub max_image_size: Option<[u32; 2]>,
-    /// Limit in bytes of photos kept in host memory, 4 GiB by default; others are reopened at every
-    /// use.
+    /// Limit in bytes of photos in host memory, 4 GiB by default; others are reopened.
     pub max_photo_bytes: u64,
     /// Number of held-out photos. `None`: 1 from 40 photos on, 0 if cameras are refined.
     pub holdout_views: Option<usize>,
@@ -76,14 +75,13 @@ pub struct RefineOptions {
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
-    /// Factor of the mean scale in the loss, relative to the scene scale. Ignored for tokens.
+    /// Factor of the mean scale in the loss, over the scene scale. Ignored for tokens.
     pub scale_penalty: f32,
     /// Whether the first half of the steps uses downscaled photos.
     pub coarse_to_fine: bool,
     /// Batch limit for photos of one size. `None`: the whole step on a GPU, 1 on a CPU.
     pub batch_size: Option<usize>,
-    /// Initial capacity in tile intersections per photo, grown on demand. `None`: from the number
-    /// of Gaussians.
+    /// Initial tile intersections per photo, grown on demand. `None`: by the number of Gaussians.
     pub intersection_capacity: Option<usize>,
     /// Scenes passed to `progress`, evenly spaced.
     pub snapshots: usize,
@@ -136,7 +134,7 @@ pub struct PerceptualLoss {
 /// The depth term of a loss: mean difference of inverse depth, relative to the scene scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthLoss {
-    /// Initial factor, which falls to a hundredth over the steps.
+    /// Initial factor; it falls to a hundredth.
     pub weight: f32,
     /// Unit of the known depth.
     pub kind: DepthKind,
@@ -158,7 +156,7 @@ impl DepthLoss {
     }
 }
 
-/// Initial rates of Adam for at most 100 steps, which decay to a tenth. For more steps, inversely
+/// Initial rates of Adam for at most 100 steps, decaying to a tenth; for more, inversely
 /// proportional to the steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearningRates {

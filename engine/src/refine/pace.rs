@@ -1,4 +1,4 @@
-//! Number of steps for a given time, corrected by the measured speed.
+//! Number of steps for a time, corrected by the measured speed.
 
 use super::{growth::GROWTH_END, schedule::factor};
 use std::time::{Duration, Instant};
@@ -46,7 +46,7 @@ impl Pace {
         Self { time, begin: Instant::now(), work, last: (Duration::ZERO, 0.0) }
     }
 
-    /// Returns the number of steps that ends the run in time, given those `done` of `steps`.
+    /// Returns the number of steps that ends the run in time.
     pub fn correct(&mut self, done: usize, steps: usize) -> usize {
         self.correct_at(self.begin.elapsed(), done, steps)
     }
@@ -70,12 +70,12 @@ pub(super) struct Snapshots {
 }
 
 impl Snapshots {
-    /// `done` steps of a resumed run have had their snapshots.
+    /// A resumed run has snapshots of `done` steps.
     pub fn new(count: usize, done: usize, steps: usize) -> Self {
         Self { count, taken: done * count / steps.max(1) }
     }
 
-    /// Returns true if the scene after `done` of `steps` is the next snapshot.
+    /// Returns true if the scene is the next snapshot.
     pub fn is_due(&mut self, done: usize, steps: usize) -> bool {
         let is_due = done * self.count / steps > self.taken;
         self.taken += usize::from(is_due);

@@ -19,8 +19,8 @@ pub trait Photos: Sync {
     /// Width and height of a photo in pixels.
     fn size(&self, i: usize) -> [u32; 2];
 
-    /// Decodes a photo of this size, with its mask, if any. Threads may open photos repeatedly and
-    /// at the same time.
+    /// Decodes a photo of this size, with any mask. Threads may open photos repeatedly and
+    /// concurrently.
     ///
     /// # Errors
     /// An unreadable photo.
@@ -65,7 +65,7 @@ impl Photo {
     }
 }
 
-/// Photos at the sizes of the coarse-to-fine phases. Results are independent of the limit.
+/// Photos at the coarse-to-fine sizes. Results are independent of the limit.
 pub(super) struct PhotoCache<'a> {
     photos: &'a dyn Photos,
     max_size: Option<[u32; 2]>,
@@ -167,7 +167,7 @@ impl<'a> PhotoCache<'a> {
         left.is_some()
     }
 
-    /// Bytes of a photo at all factors if it has a mask and, in use, depth.
+    /// Bytes of a photo at all factors, with mask and any depth.
     fn most_bytes(&self, photo: usize) -> u64 {
         let each = if self.depth.is_some() { 8 } else { 4 };
         let bytes = |factor: u32| each * self.size(photo, factor).into_iter().map(u64::from).product::<u64>();

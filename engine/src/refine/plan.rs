@@ -45,8 +45,8 @@ impl RefinePlan {
     }
 }
 
-/// Plans a refinement against `photos` photos of `[width, height]` pixels, `masked` or not, without
-/// a device. [`Exposure::Auto`] is planned as [`Exposure::Off`].
+/// Plans a refinement against `photos` photos of `[width, height]` pixels without a device.
+/// [`Exposure::Auto`] is planned as [`Exposure::Off`].
 ///
 /// # Errors
 /// [`Error::Argument`](crate::Error::Argument) if all photos are held out or tokens are to grow.

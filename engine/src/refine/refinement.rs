@@ -26,9 +26,9 @@ use std::{collections::VecDeque, ops::ControlFlow, time::Instant};
 /// Evaluations of held-out photos or, without any, of the loss; relocations while growing.
 const EVALUATIONS: usize = 20;
 const MAX_MEASURED: usize = 16;
-/// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
+/// Tolerated loss of held-out PSNR in dB by a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
-/// Divergence limit: mean loss relative to its minimum. Growth may double the loss for some steps.
+/// Divergence limit: mean loss over its minimum. Growth may double the loss briefly.
 const DIVERGED: f32 = 4.0;
 
 pub(super) struct Refinement<'a> {
@@ -64,7 +64,7 @@ pub(super) struct Refinement<'a> {
     /// Initial weight of the depth loss, times the scene's distance.
     depth_weight: f32,
     kept: Kept,
-    /// Next checkpoint, unless the loss reveals that it is worse.
+    /// Next checkpoint, unless its loss is worse.
     next: Option<Kept>,
 }
 
@@ -333,8 +333,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Marks a checkpoint when held-out PSNR improves, or without held-out photos the mean loss at
-    /// the current size.
+    /// Marks a checkpoint when held-out PSNR or, without held-out photos, the mean loss at this
+    /// size improves.
     fn evaluate(&mut self, step: usize) -> Result<()> {
         if self.evaluated == Some(step) {
             return Ok(());

@@ -1,7 +1,7 @@
 use std::f64::consts::PI;
 
 const LAST: f64 = 0.1;
-/// Steps up to which rates have full size.
+/// Most steps at full rates.
 const FULL: f64 = 100.0;
 /// Training PSNR in dB above which a scene's rate shrinks with its error.
 const GOOD: f64 = 20.0;
@@ -13,8 +13,8 @@ const LAST_DEPTH: f64 = 0.01;
 const SHORTEST: u32 = 96;
 
 /// Cosine decay of the rate to a tenth, and coarse-to-fine photo sizes. Beyond `FULL` steps the
-/// first rate is inversely proportional to the steps, which bounds the drift of Gaussians that few
-/// photos constrain.
+/// first rate is inversely proportional to the steps, to bound the drift of barely constrained
+/// Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
@@ -38,7 +38,7 @@ impl Schedule {
     }
 }
 
-/// Downscaling factor of photos of this shorter side, `along` the run.
+/// Downscaling factor for this shorter side, `along` the run.
 pub(super) fn factor(coarse: bool, along: f64, shortest: u32) -> u32 {
     phases(coarse, shortest).find(|(end, _)| along < *end).map_or(1, |(_, factor)| factor)
 }

@@ -65,7 +65,7 @@ pub(super) fn gaussians(
     filling(arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
     let [scene, d_scene] = [values, gradients].map(|tensors| SceneTensors::of(tensors, len, sh_degree));
 
-    // Once: the Gaussians of a copy of the tokens; the originals stay unchanged.
+    // Once: the Gaussians of a copy of the tokens.
     let mut rec = Recorder::new(device.limits());
     rec.copy(tokens.tensor(), moved);
     Run::in_arena(arena, 0, rec.finish()?, [memory.clone(), tokens.resident().clone()])?.execute()?;

@@ -30,7 +30,7 @@ impl View {
     }
 }
 
-/// Drops views of photos whose masks keep no pixel.
+/// Drops fully masked photos.
 pub(super) fn unmasked(mut views: Vec<View>) -> Vec<View> {
     views.retain(|view| view.image.mask.as_ref().is_none_or(|mask| mask.iter().any(|kept| *kept != 0)));
     views
@@ -41,7 +41,7 @@ pub(super) fn resized(i: usize, camera: &Camera, from: [u32; 2], size: [u32; 2])
     PixelMap::resized(from, size).camera(camera, &format!("camera {i}"))
 }
 
-/// Size of a photo that fits `most`, with its sides divided by `factor`.
+/// Size of a photo within `most`, divided by `factor`.
 pub(super) fn fitted(size: [u32; 2], most: Option<[u32; 2]>, factor: u32) -> [u32; 2] {
     let fits =
         |[width, height]: [u32; 2]| (f64::from(width) / f64::from(size[0])).min(f64::from(height) / f64::from(size[1]));
@@ -55,7 +55,7 @@ pub(super) fn split(count: usize, held_out: usize) -> (Vec<usize>, Vec<usize>) {
     ((0..count).filter(|i| !holdout.contains(i)).collect(), holdout)
 }
 
-/// Endless random order of numbers below `count`, each once per round.
+/// Endless random numbers below `count`, each once per round.
 pub(super) struct Order {
     count: usize,
     random: Random,

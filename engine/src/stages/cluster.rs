@@ -91,8 +91,8 @@ pub fn record(
 
 /// Records the selection of `count` tokens of `views` by mutual nearest neighbors, `[count]` u32.
 ///
-/// Of the tokens that show a point, the first view's remains. Matching as in the paper's appendix
-/// D; the order is this project's.
+/// Of the tokens that show a point, the first view's remains. Matching, unlike order, as in the
+/// paper's appendix D.
 pub fn mutual(rec: &mut Recorder, kernel: NearestKernel, tokens: Rows, views: usize, count: usize) -> Tensor {
     let Rows { count: all, width, .. } = tokens;
     let (patches, pitch) = (all / views, all.next_multiple_of(SLICE));

@@ -89,8 +89,8 @@ pub fn record_targets(rec: &mut Recorder, photos: Tensor, count: usize) -> Tenso
     targets
 }
 
-/// Records `frames` with the masked pixels of `targets`, both `[pixels, 3]`, which have no
-/// difference in any loss. A byte of 0 in `masks`, `[ceil(pixels / 4)]` u32, masks its pixel.
+/// Records `frames` with the masked pixels of `targets`, both `[pixels, 3]`: no difference there. A
+/// byte of 0 in `masks`, `[ceil(pixels / 4)]` u32, masks its pixel.
 ///
 /// Without targets, records the backward pass: `frames` are the gradient by the masked frames and
 /// become that by the frames.

@@ -54,8 +54,8 @@ impl DepthStages {
 
 #[derive(Clone, Debug)]
 pub struct DepthFeatures {
-    /// Patch features of all views, shallowest first: `[local | norm(global)]`, or `norm(x)` for
-    /// single-view networks.
+    /// Patch features, shallowest first: `[local | norm(global)]`, or `norm(x)` for single-view
+    /// networks.
     pub layers: Vec<Rows>,
     /// Camera tokens `[local | global]` after the last out layer, a row per view, for multi-view
     /// networks.
@@ -70,8 +70,8 @@ const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
     View(usize),
-    /// The view nearest to the mean. The first of those within a thousandth of the best, so that
-    /// rounding does not decide.
+    /// The view nearest to the mean: the first within a thousandth, so that rounding does not
+    /// decide.
     Balanced,
 }
 

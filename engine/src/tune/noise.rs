@@ -1,6 +1,6 @@
 use crate::gpu::Element;
 
-/// Distinct rows, since the host generates them slowly.
+/// Distinct rows: the host is slow.
 const DISTINCT: usize = 1024;
 
 /// Random numbers in (-1, 1), exact in `factor`. 8-bit ones survive row quantization.

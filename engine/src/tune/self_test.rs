@@ -9,7 +9,7 @@ use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path, time::Duratio
 
 /// Unfinished tests before giving up: drivers may hang or crash.
 const ATTEMPTS: u32 = 2;
-/// A test without progress for this long is unfinished.
+/// Time without progress of an unfinished test.
 const PATIENCE: Duration = Duration::from_secs(120);
 const UNFINISHED: &str = "the self-test";
 
@@ -33,8 +33,7 @@ impl SelfTest {
         Ok(test)
     }
 
-    /// Returns cached or new results for `wanted`. Only failures that stop the other kernels are
-    /// errors.
+    /// Returns cached or new results. Only failures that stop the other kernels are errors.
     pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");
         let Record { begun, result } = file.as_deref().and_then(Record::read).unwrap_or_default();
@@ -52,7 +51,7 @@ impl SelfTest {
         let keep = |begun: u32, test: &Self| Record { begun, result: Some(test.clone()) }.keep(file.as_deref());
         keep(begun + 1, &test);
         let outcome = test.run_groups(device, groups, progress, |test| keep(begun + 1, test));
-        // Retry after out of memory or cancellation, but not after device loss.
+        // Retry after out of memory or cancellation, not device loss.
         keep(if matches!(outcome, Err(Error::Memory { .. } | Error::Cancelled)) { begun } else { 0 }, &test);
         outcome.map(|()| test)
     }

@@ -66,8 +66,8 @@ impl Checkpoint {
     /// Opens safetensors or a `torch.save` state dictionary, alone or as entry `model`, of F32,
     /// F16, BF16 or F64 (rounded to F32).
     ///
-    /// Drops wrappers `module` and `_orig_mod` from names. An unstated architecture follows from
-    /// shapes, the training configuration and `variant`: one of [`VARIANTS`](super::VARIANTS) or
+    /// Drops wrappers `module` and `_orig_mod`. An unstated architecture follows from shapes, the
+    /// training configuration and `variant`: one of [`VARIANTS`](super::VARIANTS) or
     /// [`RECIPES`](super::RECIPES), with overrides `:out_layers=A,B,..`, `:alt_start=N`,
     /// `:rope_start=N`, `:camera_heads=N`, `:gaussians_per_token=N`, `:sh_degree=N`.
     /// [`Checkpoint::notes`] lists assumptions.

@@ -75,8 +75,8 @@ impl DepthCheckpoint {
         }
     }
 
-    /// Opens a released `model.safetensors` or `model.pt`, or a saved file, with `heads`. A file of
-    /// nested networks gives the multi-view one.
+    /// Opens a released `model.safetensors` or `model.pt`, or a saved file, with `heads`. Nested
+    /// networks give the multi-view one.
     ///
     /// # Errors
     /// As [`Checkpoint::open`](super::Checkpoint::open); [`Error::Argument`] for a network without

@@ -6,7 +6,7 @@
 use crate::random::Random;
 use rayon::prelude::*;
 
-/// Shrunk for keys ending in `_eps`, to expose LayerNorm epsilons.
+/// Shrunk for `_eps` keys, to expose LayerNorm epsilons.
 const SHRUNK: [&str; 15] = [
     "cls_token",
     "camera_token",
@@ -25,7 +25,7 @@ const SHRUNK: [&str; 15] = [
     "cam_enc.token_norm.",
 ];
 
-/// Further ones of VGGT, whose small encodings stay.
+/// Those of VGGT, whose small encodings stay.
 const VGGT_SHRUNK: [&str; 5] =
     ["register_token", "patch_embed.norm.", ".attn.proj.", "camera_head.token_norm.", "poseLN_modulation."];
 

@@ -8,7 +8,7 @@ use super::tensor::Stored;
 use crate::ops::{ParameterSource, Q8};
 use crate::{Error, Result};
 
-/// A network's tensors, read one at a time to bound memory.
+/// A network's tensors, read one by one to bound memory.
 #[derive(Debug)]
 pub struct Values {
     network: String,

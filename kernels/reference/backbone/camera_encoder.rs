@@ -19,8 +19,8 @@ pub fn camera_tokens(weights: &Scope, priors: &[Prior], blocks: usize, heads: us
     weights.layer_norm("trunk_norm", &x, EPS)
 }
 
-/// Returns world-to-camera translation, quaternion xyzw, vertical and horizontal field of view in
-/// radians.
+/// Returns world-to-camera translation, quaternion xyzw, vertical and horizontal field of view
+/// (radians).
 pub fn encode(prior: &Prior) -> [f64; 9] {
     let [width, height, fx, fy, ..] = prior.camera;
     let (r, center) = (|row: usize, column: usize| prior.pose[3 * row + column], &prior.pose[9..]);

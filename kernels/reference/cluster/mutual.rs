@@ -5,8 +5,8 @@ pub fn nearest_by_view(x: &[f64], width: usize, patches: usize) -> Vec<Vec<u32>>
     x.chunks(patches * width).map(|view| nearest(x, view, width)).collect()
 }
 
-/// Returns the tokens, fewest mutual nearest neighbors in earlier views first. Among equals,
-/// binary fractions with the index's digits in reverse ascend.
+/// Returns the tokens, fewest mutual nearest neighbors in earlier views first. Ties are in
+/// bit-reversed order of their indices.
 pub fn order(nearest: &[Vec<u32>], patches: usize) -> Vec<u32> {
     let neighbors = |token: usize| {
         let view = token / patches;

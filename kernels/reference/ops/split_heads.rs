@@ -47,7 +47,7 @@ impl Keys {
         Self { sides: vec![1], own: false, first: false }
     }
 
-    /// Returns the sequences of the `block`-th block across `views`, and their pooling.
+    /// Returns the sequences of a block across `views`, and their pooling.
     pub fn of(&self, block: usize, views: usize, grid: [usize; 2], leading: usize) -> (usize, Option<Pool>) {
         let side = usize::from(self.sides[block.min(self.sides.len() - 1)]);
         let Self { own, first, .. } = *self;
@@ -65,7 +65,7 @@ pub struct Pool {
     pub grid: [usize; 2],
     /// Unpooled leading tokens.
     pub leading: usize,
-    /// Whether a view's queries see its own tokens in place of its groups.
+    /// Whether a view's queries see its own tokens instead of its groups.
     pub own: bool,
     /// Whether the first view is unpooled.
     pub first: bool,
@@ -105,7 +105,7 @@ impl Pool {
         (means, counts)
     }
 
-    /// Returns what queries of `view` see of `x`: with `own`, its tokens come last.
+    /// Returns the rows of `x` that queries of `view` see: with `own`, its tokens last.
     pub fn seen(&self, x: &[f64], width: usize, view: usize) -> (Vec<f64>, Vec<f64>) {
         let (mut means, mut counts) = self.means(x, width);
         if self.own {

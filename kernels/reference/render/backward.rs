@@ -176,8 +176,8 @@ pub struct OneGradient {
 }
 
 /// Computes gradients of a visible Gaussian and its camera, by fourth-order differences. `pair` has
-/// the moments of [`through_pixel`], the gradient by the world offset from the camera through
-/// color, and that by depth.
+/// the moments of [`through_pixel`], and the gradients by the world offset through color and by
+/// depth.
 pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: &[f64; 10]) -> OneGradient {
     let splat = |gaussian: &Gaussians, camera: &Camera| project(gaussian, camera, antialiased)[0].expect("it is seen");
     let [xx, xy, yy] = splat(gaussian, camera).conic;

@@ -2,7 +2,7 @@ use crate::case::*;
 use zipsplat::kernels::backbone::ReferenceView;
 use zipsplat_tests::reference::backbone::reference_view::scores;
 
-/// Returns the views' scores and the choice, from the first token of each view.
+/// Returns scores and choice, from the first token of each view.
 fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {
     let (views, tokens_per_view) = (tokens.len() / width, 3);
     let with_patches: Vec<f32> =
@@ -37,7 +37,7 @@ fn equals_the_reference() {
         let distance: Vec<f64> = truth.iter().map(|view| view[3]).collect();
         let name = format!("{views} views of {width}");
         // Ranges of at most a hundredth of the values amplify the order of sums. The bound is half
-        // a tie, so no clearly better view is missed.
+        // a tie.
         assert_close(&name, &columns(&found, 4, 3, 4), &distance, Tolerance { max: 5e-4, rms: 2.5e-4 });
         let least = (0..views).min_by(|&a, &b| distance[a].total_cmp(&distance[b])).unwrap();
         assert_eq!(chosen as usize, least, "{name}: {distance:?}");

@@ -106,8 +106,7 @@ fn clustered(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) ->
     }
 }
 
-/// Clusters of two lie midway between their members. Neither rounding nor the order of sums may
-/// decide.
+/// Clusters of two lie midway between their members: rounding must not decide.
 #[test]
 fn rounding_chooses_no_token() {
     let (count, clusters, width) = (288, 144, 96);

@@ -1,5 +1,5 @@
-//! Most coordinates are small integers or multiples of 1/64 about an origin. Squared distances and
-//! products of halves are exact in f32, so every kernel agrees with f64.
+//! Most coordinates are small integers or multiples of 1/64 about an origin: squared distances and
+//! products of halves are exact in f32.
 
 use crate::case::*;
 use zipsplat::kernels::limits::NEAREST_ROWS;
@@ -73,7 +73,7 @@ fn reordered(rows: &[f32], width: usize, step: usize) -> Vec<f32> {
     rows.chunks(width).flat_map(|row| (0..width).map(|c| row[(c * step + step) % width])).collect()
 }
 
-/// Points midway between two targets, like the mean of a cluster of two.
+/// Points midway between two targets.
 #[test]
 fn rounding_does_not_choose() {
     assert_eq!(TIE, f64::from(Nearest::TIE));
@@ -151,7 +151,7 @@ fn tiles_of_gpus() {
 #[test]
 fn points_beyond_the_most_workgroups() {
     let count = 65_536 * NEAREST_ROWS as usize + 1;
-    // The first target for the first row of folded workgroups, the second for the rest.
+    // The first target for the first folded row, the second for the rest.
     let fold = 4 * 32_768 * NEAREST_ROWS as usize;
     let points: Vec<f32> = (0..count * 4).map(|i| if i < fold { 0.0 } else { 1.0 }).collect();
     for kernel in nearest_kernels() {

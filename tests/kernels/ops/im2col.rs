@@ -2,7 +2,6 @@ use crate::case::*;
 use zipsplat::kernels::ops::Im2col;
 use zipsplat_tests::reference::ops::im2col::im2col;
 
-/// Checks the rows of all pixels, and of those from the middle on.
 fn check(channels: usize, [height, width]: [usize; 2], shape: [usize; 4], out: [usize; 2], padded: usize) {
     let [side, step, padding, spread] = shape;
     let (source, gate) = (random(1, height * width * channels), random(2, height * width * channels));

@@ -49,7 +49,7 @@ fn q8_weights_give_the_bits_of_what_they_stand_for() {
             group.iter_mut().for_each(|w| *w *= ((g % 3) as f32 - 1.0).exp2());
         }
         if kernel.factor() == Element::F32 {
-            // Weights that need f32, in groups of very different scales.
+            // Weights that need f32, in groups of different scales.
             let sized = |(i, x): (usize, f32)| x * 10f32.powi((i / Q8::GROUP % 7) as i32 - 4);
             let values: Vec<f32> = random(1, layer.weight.len()).into_iter().enumerate().map(sized).collect();
             Q8::round(&values).expect("small weights").values(&mut layer.weight);
@@ -137,7 +137,6 @@ const DOTS: LinearKernel = LinearKernel::Dots(Tiles::BY_RULE);
 
 #[test]
 fn dot_products_give_the_bits_of_matrix_units() {
-    // One row, one quad, partial tiles of 8 terms, long sums.
     let shapes = [[1, 8, 8], [7, 24, 32], [9, 72, 40], [33, 64, 136], [70, 96, 264], [3, 4096, 24], [130, 40, 72]];
     let units = Units::of(Element::I8, device().limits()).filter(|_| device().limits().dot_products);
     for (units, shape) in units.into_iter().flat_map(|units| shapes.map(|shape| (units, shape))) {

@@ -34,7 +34,7 @@ fn rounds_to_the_nearest_of_each_row() {
     for (rows, width) in [(1, 8), (3, 24), (17, 64), (5, 1536), (66_000, 8)] {
         check(random(1, rows * width), rows, width);
     }
-    // Rows of very different sizes, one of them a single channel.
+    // Rows of different sizes, one of a single channel.
     let mut values = random(2, 6 * 64);
     for (row, size) in values.chunks_mut(64).zip([1e-4, 1.0, 6e4, 1e-2, 30.0, 500.0]) {
         row.iter_mut().for_each(|x| *x *= size);

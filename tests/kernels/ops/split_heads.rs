@@ -3,7 +3,6 @@ use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
 use zipsplat_tests::reference::backbone::rope::{global_positions, local_positions};
 use zipsplat_tests::reference::ops::split_heads::{Part, Pool, split_heads};
 
-/// `rows` rows from `first_row` on, of sequences of `sequence` rows.
 #[derive(Clone, Copy, Debug)]
 struct Call {
     heads: usize,
@@ -205,7 +204,7 @@ fn parts_of_the_rows() {
     }
 }
 
-/// Two views of 3 x 5 patches, then the second alone. Groups at the border have fewer patches.
+/// Two views of 3 x 5 patches, then the second alone.
 #[test]
 fn means_of_groups_of_patches() {
     for (side, groups) in [(2, 7), (3, 3), (4, 3)] {

@@ -17,7 +17,7 @@ struct Found {
 }
 
 impl Found {
-    /// Returns the fields of a row per Gaussian: golden's name, values and row width.
+    /// Returns fields per Gaussian: golden's name, values and row width.
     fn fields(&self) -> [(&'static str, &[f32], usize); 5] {
         let coeffs = self.sh.len() / self.opacities.len();
         [
@@ -118,8 +118,7 @@ const SETS: [(&str, [bool; 3]); 5] = [
     ("all", [true, true, true]),
 ];
 
-/// Limits are relative: of the total, and for each row a share of its own length and one of the
-/// longest.
+/// Limits are relative to the total, and per row to its length and the longest.
 fn hold(name: &str, got: &[f32], truth: &[f64], width: usize, [in_all, of_own, of_longest]: [f64; 3]) {
     assert_eq!(got.len(), truth.len(), "{name}");
     let length = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>().sqrt();

@@ -1,5 +1,5 @@
-//! Damaged files: parsers return a valid result, or an error that names the file. They never panic,
-//! hang or allocate by an untrusted count.
+//! Damaged files: parsers return a valid result, or an error with the file's name. They never
+//! panic, hang or allocate by an untrusted count.
 
 mod mutate;
 mod seeds;

@@ -257,7 +257,7 @@ fn masks_are_cut_alike() {
     let folder = tempfile::tempdir().unwrap();
     let lens = &LENSES[3];
     let capture = lens.capture(folder.path());
-    // The lower half: the view down and the lower halves of those around.
+    // The view down and the lower halves of those around.
     let mask = (0..320 * 160).map(|at| if at / 320 < 80 { 255 } else { 0 }).collect();
     let photo = picture(lens.size, |at| lens.ray(at)).with_mask(mask).unwrap();
     for (i, frame) in capture.frames.iter().enumerate() {

@@ -48,7 +48,6 @@ fn every_step_can_be_continued_bit_by_bit() {
     for end in 1..STEPS {
         let ended = until(end, &options(&path)).unwrap();
         assert_eq!((ended.losses.len(), ended.stop_reason), (end, Some(StopReason::Cancelled)));
-        // Once more, then to the end.
         if end % 3 == 0 {
             until(end + 1, &options(&path)).unwrap();
         }

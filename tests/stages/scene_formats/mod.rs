@@ -87,7 +87,6 @@ fn spz_keeps_what_its_grids_resolve() {
     }
 }
 
-/// Compressed in parts of one stream.
 #[test]
 fn spz_of_many_gaussians_is_one_stream() {
     let truth = scenes::random_scene(120_000, 0, 0.1);

@@ -110,7 +110,7 @@ fn with_alpha() -> RenderOptions {
     RenderOptions { alpha: true, ..RenderOptions::default() }
 }
 
-/// Mean absolute difference, and its gradient `[pixels, 4]` by red, green, blue and alpha.
+/// Mean absolute difference, and its gradient `[pixels, 4]` by RGBA.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
     let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
     let differences: Vec<f64> = differences.collect();
@@ -126,8 +126,7 @@ fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f
     (loss, differences.chunks_exact(3).zip(alpha).flat_map(d_pixel).collect())
 }
 
-/// LPIPS of picture and photo `[pixels, 3]`, both times alpha. Adds its gradient to `d_frames`
-/// `[pixels, 4]`.
+/// LPIPS of picture and photo `[pixels, 3]`, times alpha. Adds its gradient to `d_frames`.
 fn look_of_what_is_seen(
     lpips: &mut Perceptual,
     [rgb, truth]: [&[f32]; 2],

@@ -51,7 +51,7 @@ pub enum Method {
 
 impl Method {
     /// Aligns all photos' cameras: one by one, or in step by Adam, which alone uses LPIPS and
-    /// `arena`. `reach` gets the finished fraction before each step.
+    /// `arena`. `reach` gets the finished fraction.
     pub fn align(
         self,
         renderer: &mut Renderer,
@@ -95,8 +95,8 @@ pub enum Doubt {
     Color,
 }
 
-/// Minimizes the squared error between the rendering of `camera` and `photo`, of equal size,
-/// divided by the mean alpha so that holes do not count. The scene should be at a distance of about
+/// Minimizes the squared error between the rendering of `camera` and `photo`, divided by the mean
+/// alpha so that holes do not count. The scene should be at a distance of about
 /// 1. Intrinsics stay fixed.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
@@ -194,7 +194,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Scales the prior by the initial error: a poor fit does not justify a large step.
+    /// Scales the prior by the initial error: a poor fit justifies no large step.
     fn from(mut self, movement: Vector6<f64>) -> Result<Self> {
         self.movement = movement;
         let error = self.pixels(&[movement]).map(|pixels| pixels[0].norm_squared());
@@ -203,7 +203,7 @@ impl<'a> Search<'a> {
         Ok(self)
     }
 
-    /// Divides residuals by the root of the mean alpha: hiding the scene would otherwise be a gain.
+    /// Divides residuals by the root of the mean alpha: hiding the scene must not be a gain.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
         let request = RenderOptions { alpha: true, ..RenderOptions::default() };

@@ -12,7 +12,7 @@ use zipsplat::{
     types::{Camera, Image},
 };
 
-/// Delays are in hundredths of a second, and viewers slow down those below two.
+/// Delays are in hundredths of a second; viewers slow down those below two.
 const GIF_MAX_FPS: u16 = 50;
 pub const MAX_FPS: u16 = 240;
 

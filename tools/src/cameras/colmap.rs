@@ -12,13 +12,11 @@ use zipsplat::{Error, Result};
 const PYCOLMAP: &str = include_str!("pycolmap.py");
 /// Named after images, with `.png` appended.
 pub(super) const MASKS: &str = "masks";
-/// Names of the images to map first.
 pub(super) const KEYFRAMES: &str = "keyframes.txt";
-/// Pairs of images to match.
 pub(super) const PAIRS: &str = "pairs.txt";
 /// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
-/// Photos per matching block: smaller blocks report progress more often.
+/// Photos per matching block: small ones report progress often.
 const BLOCK: u32 = 8;
 
 pub struct Colmap {
@@ -57,10 +55,10 @@ pub enum Matching {
 }
 
 impl Matching {
-    /// Whether bundle adjustment ignores points that only two photos see, growth of the number of
-    /// photos or points between global ones, relative decrease of the error that ends one, most
-    /// repetitions. COLMAP's defaults first, except that few photos need all points; with their
-    /// tolerance of 0, a long video would take hours.
+    /// Whether bundle adjustment ignores points that only two photos see, growth of photos or
+    /// points between global ones, relative decrease of the error that ends one, most repetitions.
+    /// COLMAP's defaults first, except that few photos need all points; with their tolerance of 0,
+    /// a long video would take hours.
     fn bundle_adjustment(self) -> [f64; 4] {
         match self {
             Self::Exhaustive => [0.0, 1.1, 0.0, 5.0],
@@ -99,8 +97,8 @@ impl Mapping {
         Self { seed: 1, first_angle: 8, first_points: 50, points: 20, refines_lens: true, keyframes: false },
         Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true, keyframes: false },
     ];
-    /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. From some first
-    /// pairs, bundle adjustment ends in a wrong minimum; the second thresholds choose another pair.
+    /// Keep the lens of EXIF or COLMAP's guess: few photos do not determine it. Some first pairs
+    /// lead to a wrong minimum; the second thresholds choose another pair.
     pub const FIXED_LENS: [Self; 2] =
         [Self { refines_lens: false, ..Self::ALL[0] }, Self { refines_lens: false, keyframes: true, ..Self::ALL[2] }];
 }
@@ -275,7 +273,7 @@ impl Colmap {
     }
 }
 
-/// Stops Qt from needing a display: COLMAP 3 starts it even without windows.
+/// Stops Qt from needing a display: COLMAP 3 always starts it.
 fn headless(command: &mut Command) -> &mut Command {
     command.env("QT_QPA_PLATFORM", "offscreen")
 }

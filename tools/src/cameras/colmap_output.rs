@@ -1,5 +1,3 @@
-//! Progress and failures in COLMAP's output.
-
 use super::colmap::Step;
 use std::process::ExitStatus;
 

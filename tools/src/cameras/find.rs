@@ -37,14 +37,14 @@ const FIND: &str = "find";
 const DA3: &str = "da3";
 const VGGT: &str = "vggt";
 const SIDE: u32 = 1600;
-/// Limit for exhaustive matching, whose cost is quadratic in photos.
+/// Limit for exhaustive matching, quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Bundle adjustment is quadratic in photos of one place: beyond these, a video's cameras follow
-/// from the points of keyframes.
+/// Bundle adjustment is quadratic in photos of one place: longer videos' cameras follow from the
+/// points of keyframes.
 const MAX_KEYFRAMES: usize = 150;
-/// Number of photos up to which every unregistered photo justifies a retry.
+/// Most photos for a retry after a single unregistered one.
 const FEW_PHOTOS: usize = 12;
-/// Registered fraction that needs no retry, for more photos.
+/// Registered fraction without retry, for more photos.
 const ENOUGH: f64 = 0.8;
 /// Features below which a photo has too little texture.
 const FEW: usize = 300;
@@ -99,7 +99,6 @@ struct Search<'a> {
     work: &'a Work,
     pairs: Matching,
     side: u32,
-    /// Number of photos to map first.
     keyframes: usize,
     log: Log,
     output: ColmapOutput,
@@ -256,7 +255,7 @@ impl<'a> Search<'a> {
     }
 
     /// Returns the groups, largest first, and the number of attempts. Retries with all photos if
-    /// few are joined, and with a fixed lens if the focal length is implausible.
+    /// few are joined, and with a fixed lens for implausible focal lengths.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Capture>, usize)> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };

@@ -19,9 +19,9 @@ use zipsplat::{
 const WIGGLE_AZIMUTH: f64 = 16.0;
 const WIGGLE_ELEVATION: f64 = 2.0;
 
-/// Length of the given order relative to the nearest-neighbor order, above which it is no path.
+/// Length relative to the nearest-neighbor order, above which an order is no path.
 const DETOUR: f64 = 1.5;
-/// Largest error of landmarks relative to their distance: in one world, and after alignment.
+/// Largest error of landmarks over their distance: in one world, and after alignment.
 const SAME_WORLD: f64 = 0.1;
 const ALIGNED: f64 = 0.3;
 /// Largest default side of a path's pictures.
@@ -174,8 +174,8 @@ impl CameraArgs {
     }
 
     /// Reads a file's cameras, in the world of the requested photo, else of the scene's photo if
-    /// the file has it. Crops them to a requested size. `along` a path, cameras are upright, of
-    /// the first one's size.
+    /// present. Crops them to a requested size. `along` a path, cameras are upright, of the first
+    /// one's size.
     fn of_file(
         &self,
         path: &Path,

@@ -124,7 +124,7 @@ fn names(photos: &[impl AsRef<Path>]) -> Result<Vec<String>> {
 
 pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {
     let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
-    // The photo's own name, not that of a link's target.
+    // The photo's name, not a link's target.
     let beside = photo.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let (folder, photo) = (whole(folder)?, whole(beside)?.join(photo.file_name().unwrap_or_default()));
     let path = photo.strip_prefix(folder).unwrap_or(&photo);

@@ -22,8 +22,8 @@ pub(super) struct Work {
 }
 
 impl Work {
-    /// Photos of one size and lens share a folder, and so intrinsics. JPEG and PNG are linked, with
-    /// EXIF; others become PNG.
+    /// Photos of one size and lens share a folder and intrinsics. JPEG and PNG are linked; others
+    /// become PNG.
     pub fn new(photos: &[PathBuf], masks: Option<&Masks>, stage: &Stage<'_>) -> Result<Self> {
         masks.map_or(Ok(()), |masks| masks.check(photos))?;
         let cameras = lenses(photos)?;
@@ -50,8 +50,8 @@ impl Work {
         Ok(work)
     }
 
-    /// Lists at most `most` keyframes at equal distances and returns their number. Also lists the
-    /// pairs, unless those of COLMAP's sequential matcher suit: it sorts by name, and so by lens.
+    /// Lists at most `most` evenly spaced keyframes and returns their number. Also lists the pairs,
+    /// unless COLMAP's sequential matcher suits: it sorts by name, and so by lens.
     pub fn choose_keyframes(&self, most: usize) -> Result<usize> {
         let count = self.photos.len();
         let distance = count.div_ceil(most);
@@ -64,8 +64,8 @@ impl Work {
         Ok(count.div_ceil(distance))
     }
 
-    /// Lists pairs to match, in the photos' order. Every `distance`-th photo is a keyframe, paired
-    /// as in sequential matching. Other photos pair with the keyframes around them.
+    /// Lists pairs to match. Every `distance`-th photo is a keyframe, paired as in sequential
+    /// matching. Other photos pair with surrounding keyframes.
     pub fn list_pairs(&self, distance: usize) -> Result<()> {
         let count = self.photos.len();
         let partners = |i: usize| match i % distance {
@@ -114,7 +114,7 @@ impl Work {
     }
 }
 
-/// `None` for formats that some COLMAP cannot read. Rejects truncated JPEGs, which COLMAP accepts.
+/// `None` for formats that some COLMAP lacks. Rejects truncated JPEGs, which COLMAP accepts.
 fn kind(photo: &Path) -> Result<Option<&'static str>> {
     let mut start = [0; 4];
     let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);

@@ -127,7 +127,7 @@ impl View {
         for (i, path) in self.files.iter().enumerate() {
             let (mut scene, _) = self.input.read(session, path)?;
             let mut features = self.features.get(i).map(|file| lifted::open(file, &scene)).transpose()?;
-            // A served page draws the first Gaussians while others arrive. Tokens need the order.
+            // A served page draws the first Gaussians early. Tokens need the order.
             if self.output.is_none() && self.gaussians_per_token.is_none() {
                 let sorted = scene.edit(&[Edit::Sort], &[])?;
                 features = features.map(|features| features.of(&sorted.sources));
@@ -316,7 +316,7 @@ impl View {
         let server = Server::new(self.port).map_err(|error| Error::io(format!("port {}", self.port), error))?;
         let address = server.address();
         session.report(&json!({ "address": address }), format!("{address}\nCtrl-C ends it."))?;
-        // Other users can read the browser's command line: the secret address stays in a file.
+        // Other users can read the browser's command line, not this file with the secret address.
         let redirect = self.open.then(|| redirect(&address)).transpose()?;
         redirect.as_ref().map(|file| open_in_browser(file.path())).transpose()?;
         let cancelled = session.cancelled();

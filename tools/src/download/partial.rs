@@ -63,7 +63,7 @@ impl Lock {
                 }
                 std::thread::sleep(POLL);
             }
-            // The previous owner may have removed the file, and another process recreated it.
+            // Others may have removed and recreated the file.
             if is_at(&file, &path).map_err(failed)? {
                 return Ok(Self { path, _file: file });
             }

@@ -189,7 +189,7 @@ impl Setup {
     }
 
     /// Takes photos of a wide lens along the path, black outside its image circle, with points of
-    /// the first photo's world in meters and the pixels that show them.
+    /// the first photo's world in meters and their pixels.
     pub fn shoot_wide(&self, lens: &WideLens, photos: &Photos, go_on: GoOn<'_>) -> Result<Vec<WidePhoto>> {
         let Intrinsics { width, height, fx, .. } = lens.0.intrinsics;
         let trace = |view: &View, x: u32, y: u32, (dx, dy): (f32, f32)| {

@@ -183,8 +183,8 @@ fn torus_gradient(p: Vec3A, major: f32) -> Vec3A {
     (p - ring).normalize_or(Vec3A::Z)
 }
 
-/// Traces spheres (Hart 1996) in the bounding cylinder, then takes Newton steps: quartic roots lose
-/// too many bits in f32.
+/// Traces spheres (Hart 1996) in the bounding cylinder, then takes Newton steps: quartic roots are
+/// imprecise in f32.
 fn torus(origin: Vec3A, direction: Vec3A, major: f32, minor: f32, limit: f32) -> Option<f32> {
     let [enter, leave] = cylinder(origin, direction, major + minor, minor)?;
     let end = leave.min(limit);

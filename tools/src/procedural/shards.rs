@@ -122,8 +122,8 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Writes the scenes of `seeds` in order, generated on all threads. A range to `u64::MAX` is
-/// endless. `written` gets the number of scenes after each batch and may stop the stream.
+/// Writes the scenes of `seeds` in order. A range to `u64::MAX` is endless. `written` gets the
+/// number of scenes after each batch and may stop the stream.
 pub fn write(
     mut to: impl Write,
     seeds: Range<u64>,

@@ -49,12 +49,12 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// Returns whether a rerun has equal cameras: those that COLMAP estimates differ.
+/// Returns whether a rerun has equal cameras, unlike COLMAP's.
 pub fn has_stable_cameras(cameras: &Path) -> bool {
     Finder::named(cameras).is_none_or(|finder| finder.family().is_some())
 }
 
-/// Returns the checkpoint of a refinement that writes `output`: a file beside it.
+/// Returns the checkpoint of a refinement, beside `output`.
 pub fn checkpoint(
     output: &Path,
     photos: &[PathBuf],
@@ -72,7 +72,7 @@ pub fn checkpoint(
     Ok(RefineCheckpoint::new(path.into(), digest(&parts)))
 }
 
-/// Removes the checkpoint of a scene that is written, unless a failure ended the refinement.
+/// Removes a written scene's checkpoint, unless the refinement failed.
 pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
     let is_needed = matches!(refined.stop_reason, Some(StopReason::Failed(_)));
     if let Some(checkpoint) = request.checkpoint.as_ref().filter(|_| !is_needed) {

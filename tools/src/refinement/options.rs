@@ -17,11 +17,11 @@ use zipsplat::{
     types::{Camera, Image, poses::CaptureView},
 };
 
-/// Joins `--refine` with a following value: `--refine`, `--refine=N` and `--refine N` all work.
+/// Joins `--refine` with a following value: `--refine=N` and `--refine N` work.
 pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for word in args {
-        // Also a target without steps, for an error that names the option.
+        // Also without steps, for an error that names the option.
         let is_value = |text: &&str| text.parse::<RefineTask>().is_ok() || ["tokens", "gaussians"].contains(text);
         let steps = word.to_str().filter(is_value);
         let literal = joined.iter().any(|word| word == "--");

@@ -261,7 +261,7 @@ impl<'a> Session<'a> {
         let asked = write!(self.terminal.err, "{question}").and_then(|()| self.terminal.err.flush());
         asked.map_err(|error| Error::io("standard error", error))?;
         let (send, answer) = channel();
-        // Signals do not interrupt a read: its thread is abandoned on cancellation.
+        // Signals do not interrupt a read: cancellation abandons its thread.
         std::thread::spawn(move || {
             let mut line = String::new();
             let _ = send.send(std::io::stdin().read_line(&mut line).map(|_| line));

@@ -10,7 +10,7 @@ const CHANNELS: usize = 16;
 const SAMPLE: usize = 4096;
 const ITERATIONS: usize = 16;
 
-/// Rows whose cosine similarities are about those of the lifted features.
+/// Rows of about the lifted features' cosine similarities.
 #[derive(Serialize)]
 pub struct ShownFeatures {
     channels: usize,

@@ -7,7 +7,7 @@ use zipsplat::Error;
 type Result<T> = std::result::Result<T, Failure>;
 
 /// A structure that begins with its size, so that later versions can append fields. Zero is every
-/// field's default, also for a NULL structure and for fields missing in older ones.
+/// field's default, also for NULL and for missing fields.
 ///
 /// # Safety
 /// `repr(C)` with padding at most at the end; the first field is the u32 `struct_size`; all other

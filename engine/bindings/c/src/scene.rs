@@ -147,7 +147,7 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
 const MAX_GAUSSIANS: usize = 1 << 28;
 
 impl zs_gaussians {
-    /// Copies the arrays, in place if `scene` has as many Gaussians. Values are unchecked.
+    /// Copies unchecked arrays, in place if `scene` has as many Gaussians.
     ///
     /// # Safety
     /// Pointers are NULL or have the documented lengths.

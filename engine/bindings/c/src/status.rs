@@ -53,7 +53,7 @@ pub extern "C" fn zs_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.0.as_ptr().cast()).unwrap_or(c"".as_ptr())
 }
 
-/// A thread's message at a fixed address. Cells, because C may hold the pointer during a write.
+/// A thread's message at a fixed address. Cells: C may hold the pointer during a write.
 struct Message(Box<[Cell<u8>]>);
 
 /// Bytes, including NUL.

@@ -112,7 +112,7 @@ fn replace(scene: &mut Scene, [i, j]: [usize; 2], [a, b]: [&Blob; 2]) {
         let [from, other] = [i, j].map(|at| scene.sh_coeffs[at * k + c]);
         scene.sh_coeffs[i * k + c] = std::array::from_fn(|rgb| mix(from[rgb].into(), other[rgb].into()) as f32);
     }
-    // The union is as visible as both, but no more opaque than both behind each other.
+    // The union is as visible as both, but no more opaque than both overlaid.
     let [first, second] = [i, j].map(|at| f64::from(scene.opacities[at]));
     let area = scene.area(i).max(f32::MIN_POSITIVE);
     let opacity = (a.weight + b.weight) / f64::from(area);

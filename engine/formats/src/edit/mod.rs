@@ -18,7 +18,7 @@ pub enum Edit {
     CropSphere(DVec3, f64),
     /// Moves the scene.
     Translate(DVec3),
-    /// Rotates about the origin: degrees about x, then y, then z.
+    /// Rotates about the origin: degrees about x, y, z in order.
     Rotate(DVec3),
     /// Scales about the origin.
     Scale(f64),
@@ -28,13 +28,12 @@ pub enum Edit {
     MinOpacity(f64),
     /// Keeps Gaussians whose largest standard deviation is at most this.
     MaxSize(f64),
-    /// Keeps Gaussians with at least this many other centers within a radius.
+    /// Keeps Gaussians with at least this many others within a radius.
     MinNeighbors(usize, f64),
-    /// Keeps centers inside the pictures of at least this many cameras. Occlusion is ignored.
+    /// Keeps centers inside at least this many cameras' pictures, regardless of occlusion.
     MinViews(usize),
     /// Drops floaters: opacities below 0.01; Gaussians without another center within 8 times their
-    /// largest standard deviation; with cameras also centers outside all their pictures, doubled in
-    /// width and height.
+    /// largest standard deviation; with cameras also centers outside all doubled pictures.
     Clean,
     /// Lowers the degree of spherical harmonics.
     ShDegree(u32),
@@ -185,7 +184,7 @@ impl Edit {
 }
 
 impl Scene {
-    /// Returns the `members` that `seeds` reach in steps to one of the nearest `neighbors` centers,
+    /// Returns the `members` that `seeds` reach by steps to one of the nearest `neighbors` centers,
     /// in order.
     ///
     /// # Panics
@@ -194,8 +193,7 @@ impl Scene {
         selection::connected(self, members, seeds, neighbors)
     }
 
-    /// Returns a copy after `edits`, in order. `cameras` are in the scene's world; edits that move
-    /// the scene move them, too.
+    /// Returns a copy after `edits`. `cameras` are in the scene's world and move with it.
     ///
     /// # Errors
     /// [`Error::Argument`] for a scene that is invalid before or after, an edit that needs cameras

@@ -74,7 +74,7 @@ pub(super) fn connected(scene: &Scene, members: &[bool], seeds: &[usize], neighb
     (0..scene.len()).filter(|i| reached[*i]).collect()
 }
 
-/// These limits keep the held-out PSNR of refined captures. One of size would drop background.
+/// These limits keep the held-out PSNR of refined captures. A size limit would drop background.
 const CLEAN_OPACITY: f64 = 0.01;
 /// Relative to a Gaussian's largest standard deviation, which suits near and far ones.
 const CLEAN_RADIUS: f64 = 8.0;

@@ -1,4 +1,4 @@
-//! The subset of glTF JSON that Gaussians need, and the binary container.
+//! glTF JSON for Gaussians, and the binary container.
 
 use std::collections::{HashMap, HashSet};
 

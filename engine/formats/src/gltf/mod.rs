@@ -1,8 +1,8 @@
 //! glTF 2.0 with KHR_gaussian_splatting (release candidate): a point primitive with an accessor per
 //! attribute, linear scales and opacities. Converts from x left, y up, z forward.
 //!
-//! Reads all Gaussians of the default scene, with node transforms applied; buffers may be embedded,
-//! base64, or files in its folder. Writes one file, lossless except for normalized quaternions.
+//! Reads the default scene with node transforms; buffers may be embedded, base64, or files in its
+//! folder. Writes one file, lossless except for normalized quaternions.
 
 mod buffers;
 mod document;

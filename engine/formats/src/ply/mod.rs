@@ -120,7 +120,7 @@ fn ln(value: f32) -> f32 {
 }
 
 /// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII, with properties in any order
-/// and type. The number of `f_rest_*` determines the degree, 0 to 3.
+/// and type. `f_rest_*` determine the degree, 0 to 3.
 pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }

@@ -77,7 +77,7 @@ impl CaptureView {
     }
 
     /// Returns the photo's [`Image::quarter_turns`]; 0 without a photo, for mirrored ones, and if
-    /// the camera has the sides of the upright photo, as some programs write it.
+    /// the camera has the upright photo's sides, as some programs write it.
     pub fn quarter_turns(&self) -> u32 {
         let Some(photo) = &self.photo else { return 0 };
         let own = self.lens.map_or(self.camera.intrinsics, |lens| lens.intrinsics);
@@ -111,7 +111,7 @@ impl CaptureView {
         }
     }
 
-    /// Opens a photo as seen by this frame's camera: undistorted, regardless of EXIF orientation.
+    /// Opens a photo as this frame's camera sees it: undistorted, without EXIF orientation.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Image> {
         self.undistort(Image::open_as_stored(path)?)
     }
@@ -198,7 +198,7 @@ impl Capture {
     }
 
     /// Returns the frames of `photos`, matched by file name, then by the longest common end of the
-    /// path. A photo given several times has its views in turn, as of [`Capture::per_view`].
+    /// path. A repeated photo has its views in order, as of [`Capture::per_view`].
     ///
     /// # Errors
     /// [`Error::Argument`] for a photo without a frame, with several equal matches, or with another
@@ -206,7 +206,7 @@ impl Capture {
     pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&CaptureView>> {
         let find = |photo: &Path| self.frame_of(photo)?.ok_or_else(|| self.lacks(photo));
         let frames = photos.iter().map(|photo| find(photo.as_ref())).collect::<Result<Vec<&CaptureView>>>()?;
-        // The same photo may be given twice, but two photos cannot share a frame.
+        // A photo may be given twice, but two cannot share a frame.
         let file = |photo: &Path| photo.canonicalize().unwrap_or_else(|_| photo.to_path_buf());
         let mut photo_of: HashMap<*const CaptureView, (&Path, usize)> = HashMap::new();
         let mut views = Vec::new();
@@ -252,7 +252,7 @@ impl Capture {
         &self.frames[start..=start + count]
     }
 
-    /// Returns the photos, each as many times as it has views.
+    /// Returns the photos, each once per view.
     pub fn per_view(&self, photos: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
         let mut views = Vec::new();
         for photo in photos {
@@ -321,8 +321,8 @@ impl Capture {
     }
 }
 
-/// Returns the frames to write: views of a photo as one frame with the photo's pose if their poses
-/// agree, else each with the number of its view.
+/// Returns the frames to write: views of a photo as one frame if their poses agree, else each with
+/// its number.
 fn joined(frames: &[CaptureView]) -> Vec<(CaptureView, Option<usize>)> {
     let mut written = Vec::new();
     let mut rest = frames;

@@ -36,7 +36,7 @@ pub enum Source {
     Depth(String),
     /// Distance of the point nearest to all optical axes.
     Axes,
-    /// Root mean square of distances between cameras, for axes that do not converge.
+    /// Root mean square of distances between cameras, if axes do not converge.
     Spread,
     /// Unknown: no cameras, or all at one position.
     Nothing,
@@ -44,8 +44,8 @@ pub enum Source {
 
 impl SceneScale {
     /// Determines the scene scale: `given`, else from `points` visible to `views`, else from all
-    /// `cameras` of the capture. The frame of `views` is the first view's camera; `origin` is its
-    /// pose in the world of `cameras`.
+    /// `cameras`. The frame of `views` is the first view's camera; `origin` is its pose in the
+    /// world of `cameras`.
     pub fn of(
         given: Option<f64>,
         cameras: &[Pose],

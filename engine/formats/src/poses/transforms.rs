@@ -60,7 +60,7 @@ pub fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
     std::iter::once(path.clone()).chain(extended).find(|path| path.is_file())
 }
 
-/// A frame's fields, which default to the top level's.
+/// A frame's fields; they default to the top level's.
 struct Fields<'a> {
     frame: &'a Value,
     shared: &'a Value,

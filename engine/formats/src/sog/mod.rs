@@ -89,7 +89,7 @@ struct Rest {
     files: [String; 2],
 }
 
-/// Early versions of splat-transform write `null` for the first code; PlayCanvas extrapolates it.
+/// Early splat-transform writes `null` for the first code; PlayCanvas extrapolates it.
 fn codes<'de, D: Deserializer<'de>>(from: D) -> std::result::Result<Vec<f32>, D::Error> {
     let found = Vec::<Option<f32>>::deserialize(from)?;
     let first = match found[..] {

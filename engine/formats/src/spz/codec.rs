@@ -15,7 +15,7 @@ const MIN_LOG_SCALE: f32 = -10.0;
 const LOG_SCALE_LEVELS: f32 = 16.0;
 /// Leaves headroom for colors outside 0..1.
 const COLOR_SCALE: f32 = 0.15;
-/// Levels per bucket of degree 1 and of higher degrees: fewer distinct bytes compress better.
+/// Levels per bucket of degree 1 and higher: fewer distinct bytes compress better.
 const SH_BUCKETS: [i32; 2] = [8, 16];
 /// Largest component magnitude in versions 3 and 4; represents `1 / sqrt(2)`.
 const SMALLEST_THREE_MAX: f32 = 511.0;

@@ -61,7 +61,7 @@ fn word(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(std::array::from_fn(|byte| bytes[at + byte]))
 }
 
-/// Skips extension records, but rejects unusual axes, which would rotate the scene.
+/// Skips extension records, but rejects unusual axes.
 pub(super) fn check_axes(zone: &[u8], mut at: usize) -> Parsed<()> {
     while at < zone.len() {
         let length = if zone.len() - at < 8 { None } else { Some(word(zone, at + 4) as usize) };

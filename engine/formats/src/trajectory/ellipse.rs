@@ -4,7 +4,7 @@ use super::super::{Camera, Pose};
 use super::{closed_path, looking};
 use crate::{Error, Result};
 
-/// Weight of the given center against view axes; matters only for parallel ones.
+/// Weight of the given center, for parallel view axes.
 const CENTER_WEIGHT: f64 = 1e-3;
 
 /// A closed path perpendicular to the cameras' mean up, at their mean height.

@@ -8,8 +8,8 @@ const RADIUS_QUANTILE: f64 = 0.9;
 const RADIUS_MARGIN: f64 = 1.2;
 const UP: DVec3 = DVec3::NEG_Y;
 
-/// Cameras on a sphere that look at its center. Angles are in degrees: azimuth turns right,
-/// elevation up. At 0, 0 a camera looks along +z, as the first view.
+/// Cameras on a sphere that look at its center. Angles in degrees: azimuth turns right, elevation
+/// up. At 0, 0 a camera looks along +z, as the first view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
     /// Center of the sphere.

@@ -1,5 +1,3 @@
-//! A smooth path through cameras.
-
 use glam::{DMat3, DQuat, DVec3};
 
 use super::super::{Camera, Intrinsics, Pose, quaternion_from_matrix};
@@ -123,7 +121,7 @@ fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
     cameras.iter().map(target).collect()
 }
 
-/// Returns centripetal knot intervals, bounded below relative to their mean; equal if still.
+/// Returns centripetal knot intervals, bounded relative to their mean; equal if still.
 fn intervals(cameras: &[Camera], closed: bool) -> Vec<f64> {
     let next = cameras.iter().cycle().skip(1);
     let segments = if closed { cameras.len() } else { cameras.len() - 1 };

@@ -8,8 +8,8 @@ pub(crate) fn driver(call: &'static str, result: vk::Result) -> Error {
     }
 }
 
-/// Returns true if a submission may be in flight. By the specification ("Lost Device"), so may one
-/// that loses the device: wait before destroying its resources.
+/// Returns true if a submission may be in flight. So may one that loses the device (specification,
+/// "Lost Device"): wait before destroying its resources.
 pub(crate) fn is_in_flight<T>(submitted: &Result<T>) -> bool {
     matches!(submitted, Ok(_) | Err(Error::DeviceLost))
 }

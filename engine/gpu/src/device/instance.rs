@@ -157,7 +157,7 @@ unsafe extern "system" fn on_message(
         let text = (*data).message_as_c_str().map(|t| t.to_string_lossy().into_owned()).unwrap_or_default();
         (text, &*user.cast::<Mutex<Vec<String>>>())
     };
-    // Reports a setting that the layer enabled by itself for GPU-assisted validation.
+    // Reports a setting that the layer enabled for GPU-assisted validation.
     if text.contains("Internal Warning") {
         return vk::FALSE;
     }

@@ -41,8 +41,7 @@ pub struct Limits {
     pub dot_products: bool,
     /// Whether hardware accelerates these.
     pub dot_products_accelerated: bool,
-    /// Whether kernels may read buffers by address, for drivers that turn uniform loads into vector
-    /// loads.
+    /// Whether kernels may read buffers by address, for drivers that vectorize uniform loads.
     pub addresses: bool,
     /// Cache key of measurements: device, driver and validation state.
     pub identity: String,

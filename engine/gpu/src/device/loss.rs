@@ -1,5 +1,3 @@
-//! Device loss, which is permanent.
-
 use super::{Shared, failure::driver};
 use crate::{Error, Result};
 use ash::vk;

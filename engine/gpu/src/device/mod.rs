@@ -153,7 +153,7 @@ impl Device {
         self.0.index
     }
 
-    /// Returns the rejected GPUs with reasons, after a fallback to a CPU.
+    /// Returns rejected GPUs with reasons, after a fallback to a CPU.
     pub fn passed_over(&self) -> &[String] {
         &self.0.passed_over
     }
@@ -299,7 +299,7 @@ impl Shared {
 
     pub fn check_messages(&self) -> Result<()> {
         if self.instance.debug.is_some() {
-            // The layer reports shader errors only after completion.
+            // The layer reports shader errors on completion.
             self.queue.wait_idle(&self.raw).map_err(|e| self.failed("vkQueueWaitIdle", e))?;
         }
         let messages = std::mem::take(&mut *lock(&self.instance.messages));

@@ -190,8 +190,8 @@ struct Offers {
     conversions: bool,
 }
 
-/// Finds the largest matrix shape of each type; of equal ones the squarest, with the fewest loads
-/// per product.
+/// Finds the largest matrix shape of each type, then the squarest, with the fewest loads per
+/// product.
 fn find_matrices(
     entry: &ash::Entry,
     instance: &ash::Instance,

@@ -2,8 +2,7 @@ use crate::lock::lock;
 use ash::{prelude::VkResult, vk};
 use std::sync::Mutex;
 
-/// An app's lock on its queue. Submitting threads call both functions and never wait for the device
-/// in between.
+/// An app's lock on its queue. Submitting threads call both functions and never wait in between.
 pub struct QueueLock {
     /// Blocks until the queue is free and takes it.
     pub lock: Box<dyn Fn() + Send + Sync>,

@@ -12,8 +12,7 @@ use std::sync::{
 
 const WORKING: &str = "working memory on the device";
 
-/// Scratch memory shared by plans that never run at the same time. A lane has the size of its
-/// largest plan.
+/// Scratch memory of plans that never run concurrently. A lane has the size of its largest plan.
 #[derive(Clone)]
 pub struct Arena(Arc<Lanes>);
 
@@ -216,7 +215,7 @@ impl State {
 
 impl Drop for Lane {
     fn drop(&mut self) {
-        // Fails only if the device is lost; nothing is in flight then.
+        // Fails only on device loss; nothing is in flight then.
         let _ = self.settle();
         // SAFETY: nothing is in flight.
         unsafe { self.device.0.raw.destroy_semaphore(self.timeline, None) };

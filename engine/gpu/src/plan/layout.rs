@@ -18,8 +18,8 @@ pub(crate) struct Placement {
     pub last: u32,
 }
 
-/// Places each lifetime, largest first, at its lowest free offset in blocks of up to `block_bytes`.
-/// `Err` is the index of a lifetime that exceeds a block.
+/// Places lifetimes, largest first, at their lowest free offset in blocks of up to `block_bytes`.
+/// `Err` is the index of one that exceeds a block.
 pub(crate) fn place(lifetimes: &[Lifetime], block_bytes: u64) -> Result<(Vec<Placement>, Vec<u64>), usize> {
     let mut order: Vec<usize> = (0..lifetimes.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(lifetimes[i].bytes), i));

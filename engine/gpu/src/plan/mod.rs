@@ -88,7 +88,7 @@ impl Plan {
     }
 
     /// Fills scratch tensors before their first use with NaN, an index out of range, to expose
-    /// reads of uninitialized memory, often zero on CPUs.
+    /// uninitialized reads, often zero on CPUs.
     pub(crate) fn poison(&mut self) {
         let mut born = vec![Vec::new(); self.commands.len()];
         for (id, (allocation, placement)) in self.allocations.iter().zip(&self.placements).enumerate() {

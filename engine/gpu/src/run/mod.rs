@@ -55,7 +55,7 @@ pub struct Progress<'a> {
     pub scope: &'a str,
 }
 
-/// A plan bound to a device. Further executions replay the encoded commands.
+/// A plan bound to a device. Executions replay the encoded commands.
 pub struct Run {
     device: Device,
     plan: Plan,
@@ -103,8 +103,8 @@ impl Run {
         Self::in_lane(device, Lane::new(device)?, plan, residents.into_iter().collect())
     }
 
-    /// As [`Run::with_resident`], in a lane of a shared arena. Other runs of the lane invalidate
-    /// inputs and outputs.
+    /// As [`Run::with_resident`], in a lane of an arena. Its other runs invalidate inputs and
+    /// outputs.
     ///
     /// # Panics
     /// If the plan has constants, which other runs would overwrite.

@@ -64,7 +64,7 @@ impl Target {
 
 impl Run {
     /// Submits a copy of an output to `target` without waiting. The run's next write and its drop
-    /// wait for the copy.
+    /// wait.
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`].

@@ -1,4 +1,4 @@
-/// Sets the fields that all variants of a linear kernel share.
+/// Sets the fields common to linear kernels.
 macro_rules! linear_kernel {
     ($kernel:ident, $linear:ident, $input:ident, $out:ident, $epilogue:ident, { $($own:tt)* }) => {
         ops::$kernel {
@@ -264,7 +264,7 @@ impl Linear {
             output: out.element,
         });
         let [tile_rows, tile_columns] = tile.sides(units);
-        // Columns vary fastest, so that workgroups share rows in cache.
+        // Columns vary fastest: workgroups share rows in cache.
         let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(split_k)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }

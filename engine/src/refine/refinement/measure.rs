@@ -52,7 +52,7 @@ impl Refinement<'_> {
         Ok(begin.elapsed())
     }
 
-    /// Allocates the memory of the last step with the largest photo: earlier steps need less.
+    /// Allocates the last step with the largest photo: earlier steps need less.
     pub(super) fn reserve(&mut self) -> Result<()> {
         let factor = self.schedule.factor(self.schedule.steps - 1, self.shortest());
         let pixels = |i: &&usize| self.photos.size(**i, factor).into_iter().map(u64::from).product::<u64>();

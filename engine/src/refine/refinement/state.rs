@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 pub struct Saving {
     pub checkpoint: RefineCheckpoint,
     pub identity: Identity,
-    /// Steps, largest photo's width and height, and Gaussians, which measurements may have set.
+    /// Steps, largest photo's width and height, and Gaussians, possibly measured.
     plan: [u64; 4],
     last: Instant,
     /// Time before this run.

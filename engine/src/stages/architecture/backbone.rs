@@ -9,8 +9,8 @@ pub enum Family {
     /// Depth Anything 3: a camera token per view, from block `alt_start` on.
     #[default]
     Da3,
-    /// VGGT: blocks of its patch embedding, then from block `alt_start` on pairs of a block within
-    /// and one across views, with a camera token and four registers per view.
+    /// VGGT: a patch embedding, then from block `alt_start` on pairs of a block within and one
+    /// across views, with a camera token and four registers per view.
     Vggt,
 }
 

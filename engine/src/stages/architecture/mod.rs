@@ -21,7 +21,7 @@ pub const RECIPES: [&str; 3] = ["da3s", "da3b", "da3l"];
 /// The paper's decoder on VGGT, without released weights.
 pub const VGGT: &str = "vggt";
 
-/// Blocks of VGGT with `embedding` blocks before its pairs: all, and those that end `pairs`.
+/// VGGT with `embedding` blocks before its pairs: all blocks, and the last of `pairs`.
 pub(super) fn vggt_blocks([embedding, all]: [usize; 2], pairs: &[usize]) -> (usize, Vec<usize>) {
     (embedding + 2 * all, pairs.iter().map(|pair| embedding + 2 * pair + 1).collect())
 }
@@ -100,7 +100,7 @@ impl Architecture {
         }
     }
 
-    /// As [`DepthArchitecture::vggt`], with the paper's decoder. Known cameras are no input.
+    /// As [`DepthArchitecture::vggt`], with the paper's decoder, without known cameras.
     pub fn vggt(name: &str, width: usize, [embedding, pairs]: [usize; 2], out_pairs: &[usize]) -> Self {
         let (depth, out_layers) = vggt_blocks([embedding, pairs], out_pairs);
         let like = Self::new(name, width, depth, embedding, &out_layers);

@@ -41,8 +41,8 @@ pub(super) fn interpolate(
 /// Returns (cos, sin) tables: local `[1 + rows * columns, dim / 2, 2]`, global `[1, dim / 2, 2]`.
 ///
 /// Local positions: the camera token at the origin, patches at (y + 1, x + 1). Global patches share
-/// a position one step from the camera token; only differences matter, so patches stay unrotated
-/// and camera tokens are at (-1, -1). Half the pairs rotate with y, half with x.
+/// a position one step from the camera token: unrotated, with camera tokens at (-1, -1). Half the
+/// pairs rotate with y, half with x.
 pub fn rotary_tables(rows: usize, columns: usize, dim: usize) -> [Vec<f32>; 2] {
     [rotary_table(1, rows, columns, dim), rotations([-1.0; 2], dim).collect()]
 }

@@ -15,7 +15,7 @@ pub(super) struct Transformer {
     pub special: Box<dyn SpecialTokens>,
 }
 
-/// Differences of backbones: special tokens ahead of each view's patches, and positions.
+/// Differences of backbones: special tokens and positions.
 pub(super) trait SpecialTokens: Send + Sync {
     /// Special tokens per view.
     fn leading(&self) -> usize;
@@ -26,7 +26,7 @@ pub(super) trait SpecialTokens: Send + Sync {
     /// Returns the tokens of the first block, `[views, leading + patches, width]`.
     fn first(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Rows;
 
-    /// Chooses a reference view `[1]` u32 by the tokens before the last block of separate views.
+    /// Chooses a reference view `[1]` u32 before the last block of separate views.
     fn choose(&self, _: &mut Recorder, _: Rows, _: &[Tensor], _: ViewGrid) -> Option<Tensor> {
         None
     }

@@ -123,7 +123,7 @@ impl Head {
     }
 }
 
-/// GELU, or with a `gradient` its backward pass; then `out` may alias the gradient.
+/// GELU, or its backward pass with a `gradient`, which `out` may alias.
 fn gelu(rec: &mut Recorder, source: Rows, gradient: Option<Rows>, out: Rows) {
     let backward = gradient.is_some();
     let rows = [source, gradient.unwrap_or(source), out];

@@ -1,5 +1,5 @@
-//! Every Gaussian-tile intersection has a slot, written once. Gaussians sum their consecutive slots
-//! in order, without atomics.
+//! Every Gaussian-tile intersection has a slot, written once. Gaussians sum consecutive slots in
+//! order, without atomics.
 
 use super::{
     Depth, FrameShape, RenderOptions, RenderOutputs, SceneTensors, draw, intersect::TileLists, project::Splats,

@@ -1,4 +1,4 @@
-//! Values of any number of channels, lifted to Gaussians or tokens and drawn.
+//! Values of any channels, lifted to Gaussians or tokens and drawn.
 
 use super::{FrameShape, RenderOptions, SceneTensors, backward::slot_starts, intersect, project};
 use crate::{
@@ -12,11 +12,11 @@ use crate::{
 
 /// Channels per vector.
 pub(crate) const VECTOR: usize = 4;
-/// Vectors that a pixel blends at once: GPUs hold them in registers.
+/// Vectors that a pixel blends at once, in registers.
 pub(crate) const VECTORS_AT_ONCE: usize = 4;
 const GPU_PIXELS: u32 = 64;
 
-/// Rows of values, each of a number of consecutive Gaussians.
+/// Rows of values of consecutive Gaussians.
 #[derive(Clone, Copy)]
 pub(crate) struct FeatureRows {
     pub count: usize,

@@ -123,7 +123,7 @@ impl RenderOutput {
         Image::from_rgb_f32(self.width, self.height, rgb)?.save_png(path)
     }
 
-    /// Single outputs are moved, since copies are expensive.
+    /// Single outputs are moved, not copied.
     pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, options: &RenderOptions) -> Self {
         let channels = options.channels();
         let mut first = 0;

@@ -1,7 +1,7 @@
 use super::FrameShape;
 use crate::{Error, Result, gpu::Limits};
 
-/// Largest number of plans, unless given.
+/// Default limit of plans.
 const PLANS: usize = 4;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -11,7 +11,7 @@ pub(crate) struct PlanKey<K> {
     pub options: K,
 }
 
-/// Cache of recently used plans, with more capacity after an overflow.
+/// Recently used plans, with more capacity after an overflow.
 pub(crate) struct PlanCache<K, P> {
     /// Least recently used first.
     entries: Vec<Entry<K, P>>,
@@ -60,8 +60,8 @@ impl<K: Copy + PartialEq, P> PlanCache<K, P> {
         Ok(&mut self.entries.last_mut().expect("just pushed").plan)
     }
 
-    /// Runs the plan of `key`, recorded with more capacity after each overflow, and returns it.
-    /// `run` returns the intersections.
+    /// Runs and returns the plan of `key`, recorded with more capacity after each overflow. `run`
+    /// returns the intersections.
     pub fn run(
         &mut self,
         key: PlanKey<K>,
@@ -77,8 +77,8 @@ impl<K: Copy + PartialEq, P> PlanCache<K, P> {
         Ok(&mut self.entries.last_mut().expect("it fits").plan)
     }
 
-    /// Returns the last used plan if `needed` intersections fit. Otherwise drops it, and the next
-    /// one is larger; [`Error::Memory`] if none can be.
+    /// Returns the last used plan if `needed` intersections fit. Otherwise the next one is larger;
+    /// [`Error::Memory`] if none can be.
     pub fn fitting(&mut self, needed: usize) -> Result<Option<&mut P>> {
         if let Some(Entry { key, .. }) = self.entries.pop_if(|entry| needed > entry.capacity) {
             let (needed_bytes, available) = (needed as u64 * intersection_bytes(key.backward), self.max_binding_bytes);

@@ -10,7 +10,6 @@ use crate::{
 /// Fills a GPU; CPUs cache best with one.
 const GPU_TOGETHER: usize = 8;
 
-/// Destination of a plan's pictures.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Destination {
     /// The host, from a lane of the arena.

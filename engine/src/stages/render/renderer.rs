@@ -35,7 +35,7 @@ impl Renderer {
         Self { initial_capacity: capacity, ..Self::in_arena(&Arena::new(device)) }
     }
 
-    /// Creates a renderer in a shared arena, or its own if that is busy.
+    /// Creates a renderer in a shared arena, or its own if busy.
     pub fn in_arena(arena: &Arena) -> Self {
         Self {
             arena: arena.clone(),
@@ -71,8 +71,8 @@ impl Renderer {
         self.render(cameras, options)
     }
 
-    /// Sets the scene: uploads a [`Scene`]; uses a [`DeviceScene`], or a reconstruction in its
-    /// first camera's frame, in place.
+    /// Uploads a [`Scene`]; uses a [`DeviceScene`], or a reconstruction in its first camera's
+    /// frame, in place.
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid scene or another device's; [`Error::DeviceLost`].
@@ -161,7 +161,7 @@ impl Renderer {
         self.intersections
     }
 
-    /// Intersections per image for which new plans have memory; 0 before the first.
+    /// Intersections per image of new plans; 0 before the first.
     pub fn capacity(&self) -> usize {
         self.plans.capacity
     }
@@ -172,7 +172,7 @@ impl Renderer {
         scene.fill_in(options).skipped_passes(scene.stored_degree(), scene.tensors().sh_degree)
     }
 
-    /// Renders into an application's image or buffer. On return the copy is submitted; the next
+    /// Renders into an application's image or buffer. The copy is only submitted; the next
     /// rendering of this size waits for it.
     pub fn render_to(
         &mut self,

@@ -75,7 +75,7 @@ impl SceneMemory {
         &self.memory
     }
 
-    /// Makes the Gaussians of all but these of `count` tokens invisible, if given.
+    /// Hides the Gaussians of other tokens, if given.
     pub fn show_tokens(&self, tokens: Option<&[usize]>, count: usize) -> Result<()> {
         let Some(tokens) = tokens else { return Ok(()) };
         let all: Vec<f32> = self.memory.read(self.tensors.opacities)?;

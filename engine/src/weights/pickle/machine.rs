@@ -3,8 +3,7 @@ use std::collections::HashMap;
 use super::{Callable, Id, Object, Storage, Tensor, size, sizes, text};
 use crate::weights::tensor::MAX_RANK;
 
-/// Limit on all stored items, six times the largest training checkpoint; bounds memory per input
-/// byte.
+/// Limit on stored items, six times the largest training checkpoint; bounds memory per input byte.
 const MAX_HELD: usize = 1 << 20;
 
 pub(super) struct Machine<'a> {

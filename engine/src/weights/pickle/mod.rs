@@ -1,5 +1,5 @@
-//! Objects refer to each other by index in a bounded list: sharing, cycles and depth are harmless.
-//! Calls build tensors, dictionaries and plain data only.
+//! Objects are indices in a bounded list: sharing, cycles and depth are harmless. Calls build
+//! tensors, dictionaries and plain data only.
 
 mod machine;
 

@@ -186,7 +186,7 @@ fn outliers() -> Problem {
     problem
 }
 
-/// Row r has the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
+/// Row r has the channels r, r + rows, r + 2 rows...: few terms reveal a wrong index.
 fn one_hot(inner: usize, rows: usize) -> Problem {
     let mut problem = Problem::random(rows, inner, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });

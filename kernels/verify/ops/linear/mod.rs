@@ -133,8 +133,8 @@ impl Problem {
         }
     }
 
-    /// Relative error of an expanded 8-bit weight on matrix units. f16 may round either way; bf16
-    /// rounds to nearest.
+    /// Relative error of an expanded 8-bit weight. f16 may round either way; bf16 rounds to
+    /// nearest.
     fn expanding(&self, mode: Mode) -> f64 {
         let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.has_vectors();
         match mode.factor {

@@ -94,8 +94,8 @@ impl Problem {
         splats.into_iter().map(conic).collect()
     }
 
-    /// Bounds render/project_backward.comp, formula by formula: its rounding depends on
-    /// intermediate values, which the truth by differences lacks.
+    /// Bounds render/project_backward.comp, formula by formula: the truth by differences lacks
+    /// intermediate values.
     fn gradient(&self, n: usize, conic: [f64; 3], fault: Option<Fault>) -> Found {
         let is = |other: Fault| fault == Some(other);
         let zero = Bounded::exact(0.0);

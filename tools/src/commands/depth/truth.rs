@@ -139,7 +139,6 @@ mod tests {
         };
         let exact: Vec<(Camera, Camera)> = (0..4).map(|k| (world.apply(&truth(k)), truth(k))).collect();
         assert!(cameras(&exact).expect("places").iter().all(|error| error.abs() < 1e-6));
-        // Turns by a degree, zooms by a tenth.
         let mut off = exact.clone();
         for (k, (found, _)) in off.iter_mut().enumerate() {
             found.intrinsics.fx *= 1.1;
@@ -153,7 +152,6 @@ mod tests {
     fn errors_of_depth_are_shares_of_it() {
         let exact = vec![vec![2.0; 9], vec![2.0; 5]];
         assert_eq!(depth(exact), Some([0.0, 1.0]));
-        // One photo is a tenth too far, two are exact.
         let [relative, within] =
             depth(vec![vec![1.0; 4], vec![1.0, 1.0, 1.0, 1.0 / 1.4], vec![1.0 / 1.1; 4]]).expect("depth");
         assert!((relative - 0.1).abs() < 1e-9 && within == 1.0, "{relative} {within}");

@@ -16,9 +16,8 @@ pub struct AlignedScore {
     pub lpips: Option<f64>,
     unaligned_psnr: f64,
     unaligned_ssim: f64,
-    /// Rotation from the given camera.
     rotation_error_deg: f64,
-    /// Distance from the given camera, in the cameras' unit.
+    /// In the cameras' unit.
     translation_error: f64,
     warning: Option<Doubt>,
 }

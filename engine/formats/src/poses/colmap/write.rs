@@ -23,7 +23,7 @@ pub fn check_colmap_name(name: &str) -> Result<()> {
 }
 
 /// Writes a COLMAP text model to [`colmap_files`] of an existing folder. Frames share equal lenses.
-/// Without matches, points have no tracks and images no 2D points.
+/// Points have no tracks, images no 2D points.
 ///
 /// # Errors
 /// [`Error::Argument`] for a name with spaces, a lens without a COLMAP model, or views of a wide

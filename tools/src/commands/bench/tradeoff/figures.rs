@@ -48,7 +48,7 @@ pub fn pareto(points: &[Point]) -> String {
 pub struct Figure {
     pub heading: &'static str,
     pub plot: String,
-    /// A figure of the paper without times: repeated sweeps of a device equal it.
+    /// A figure without times: equal in repeated sweeps of a device.
     pub is_repeatable: bool,
 }
 

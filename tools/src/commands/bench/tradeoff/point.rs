@@ -139,7 +139,7 @@ pub fn front(points: &[Point]) -> Vec<usize> {
 }
 
 /// Up to three points of the front: `best` by PSNR; `fast`, the fastest with half of its gain in
-/// dB; `balanced`, farthest above their connecting line in dB over log time.
+/// dB; `balanced`, farthest above their line in dB over log time.
 pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
     let front = front(points);
     let (Some(first), Some(best)) = (front.first(), front.last()) else { return Vec::new() };

@@ -1,6 +1,6 @@
 //! Deviation of a reconstruction from f64, by stage.
 //!
-//! All precisions use the first one's tokens: rounding may flip a near tie of k-means.
+//! All precisions use the first one's tokens: rounding may flip k-means ties.
 
 use crate::capture::ViewSplit;
 use std::{collections::HashMap, ops::Range};
@@ -58,7 +58,7 @@ impl<'a> Truth<'a> {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
 
-    /// `settings` exclude precision. Calls with equal settings use the first one's `chosen` tokens.
+    /// `settings` exclude precision. Equal settings use the first call's `chosen` tokens.
     pub fn compare(
         &mut self,
         model: &Model,

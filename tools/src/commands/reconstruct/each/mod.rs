@@ -81,7 +81,7 @@ impl<'a> Batch<'a> {
         outputs::check_folder(output)?;
         let works = self.works(session)?;
         overwrite.check_replaced(works.iter().map(|work| &work.record))?;
-        // A .splat does not say who wrote it, its record does.
+        // A .splat names no writer, its record does.
         let unknown = works.iter().filter(|work| recorded(work).is_none());
         overwrite.check_replaced(unknown.map(|work| &work.scene))?;
         overwrite.check_replaced([output.join(FAILURES)])?;
@@ -206,10 +206,8 @@ impl Runner<'_> {
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
         let tally = Mutex::new(Tally::default());
         let limit = self.batch.command.limit.unwrap_or(usize::MAX);
-        // The failure list of an earlier run.
         std::fs::remove_file(self.batch.command.output().join(FAILURES)).ok();
         let ended = std::thread::scope(|scope| {
-            // Each queue holds one capture.
             let (to_device, prepared) = sync_channel(1);
             let (to_disk, finished) = sync_channel::<(&Work, FinishedScene)>(1);
             scope.spawn(|| {
@@ -316,7 +314,7 @@ impl Runner<'_> {
     fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
         let failures = &mut lock(tally).failures;
         failures.push(Failure::new(work.folder.display(), error));
-        // If the file cannot be written, the count still reports the failure.
+        // Without the file, the count still reports the failure.
         outputs::save_csv(&self.batch.command.output().join(FAILURES), failures).ok();
     }
 
