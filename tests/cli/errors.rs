@@ -94,7 +94,7 @@ fn numbers() {
     }
     for line in ["reconstruct @/photos -o @/out.ply", "eval @/absent -o @/out", "bench tradeoff @/absent -o @/report"] {
         let line = format!("{line} --weights @/micro.safetensors --input-size 28x28 --views 2 --kv-pool 5");
-        refused(&folder, &line, 2, &["'5' for '--kv-pool", "1 to 4"]);
+        folder.run(&line).fails_usage();
     }
     for size in ["30x28", "28x0", "4294967282x14"] {
         let line = format!("reconstruct @/photos --weights @/micro.safetensors --input-size {size} -o @/out.ply");

@@ -41,7 +41,7 @@ fn the_ratio_and_selection_decide_the_number() {
     folder.write("tokens.txt", b"3 1\n11\n7\n");
     for (options, tokens) in [
         ("--ratio 0.5", 6),
-        ("--ratio auto --kv-pool 2", 6),
+        ("--ratio auto --kv-pool local/2+own+first", 6),
         ("--ratio 0.3 --token-selection stride", 3),
         ("--ratio 0.3 --token-selection random:7", 3),
         ("--ratio 0.3 --token-selection mutual", 3),

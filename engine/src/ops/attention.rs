@@ -170,7 +170,8 @@ impl Attention {
         let (unit, count) = (pool.tokens(), projection.of.count);
         // The first view may be unpooled.
         let first = if view == 0 && pool.first { unit } else { 0 };
-        for (side, rows) in [(1, 0..first), (pool.side, first..count)].into_iter().filter(|(_, rows)| !rows.is_empty()) {
+        for (side, rows) in [(1, 0..first), (pool.side, first..count)].into_iter().filter(|(_, rows)| !rows.is_empty())
+        {
             let view = view + rows.start / unit;
             let first_row = pool.keys_of(view * unit);
             let written = Written {

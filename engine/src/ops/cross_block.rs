@@ -42,7 +42,8 @@ impl CrossBlock {
     /// Returns d1 + d2 with d1 = gamma1 * attention and d2 = gamma2 * mlp(norm(queries + d1)).
     pub fn record(&self, rec: &mut Recorder, queries: Rows, keys: Rows) -> Rows {
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), queries.width);
-        let attention = Attention { heads, sequences: 1, queries: queries.count, common_keys: 0, keys: keys.count, kernel };
+        let attention =
+            Attention { heads, sequences: 1, queries: queries.count, common_keys: 0, keys: keys.count, kernel };
         let tensors @ [q, k, v, _] = attention.tensors(rec);
         for part in row_chunks(rec, queries.count, &[queries.row_bytes()]) {
             let normed = self.norm_q.apply(rec, queries.part(part.clone()), self.q_proj.element());

@@ -214,7 +214,8 @@ impl Model {
         let chosen = (options.ratio, &options.token_selection);
         let limits = Limits { memory_bytes: self.available_bytes(), ..self.device.limits().clone() };
         self.network.block_layout(&limits, views, options.blocks, |views| {
-            Shape::new(self.architecture(), views, size, chosen, options.cameras.is_some()).map(|shape| shape.pooled(options.kv_pool))
+            Shape::new(self.architecture(), views, size, chosen, options.cameras.is_some())
+                .map(|shape| shape.pooled(options.kv_pool))
         })
     }
 

@@ -180,6 +180,7 @@ impl Model {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
         let size = [grid.columns, grid.rows].map(|count| (count * grid.patch_size) as u32);
         let chosen = (options.ratio, &options.token_selection);
-        Shape::new(self.architecture(), grid.views, size, chosen, cameras).map(|shape| shape.pooled(features.shape.kv_pool))
+        Shape::new(self.architecture(), grid.views, size, chosen, cameras)
+            .map(|shape| shape.pooled(features.shape.kv_pool))
     }
 }

@@ -303,7 +303,8 @@ impl Model {
             check_cameras(cameras, images)?;
         }
         let chosen = (options.ratio, &options.token_selection);
-        Shape::new(self.architecture(), images.len(), size, chosen, options.cameras.is_some()).map(|shape| shape.pooled(options.kv_pool))
+        Shape::new(self.architecture(), images.len(), size, chosen, options.cameras.is_some())
+            .map(|shape| shape.pooled(options.kv_pool))
     }
 
     /// Records a plan, optionally observed.

@@ -102,8 +102,7 @@ impl Point {
             "all" => "every token".into(),
             select => format!("{:.0} % of the tokens by {select}", 100.0 * self.ratio),
         };
-        let pooled =
-            if self.kv_pool == "1" { String::new() } else { format!(", --kv-pool {}", self.kv_pool) };
+        let pooled = if self.kv_pool == "1" { String::new() } else { format!(", --kv-pool {}", self.kv_pool) };
         let refined = match self.refine.split_once(':') {
             _ if !self.is_refined() => String::new(),
             Some((steps, moved)) => format!(", {steps} steps of refinement of {moved}"),
