@@ -36,7 +36,7 @@ impl KvPool {
     pub fn for_views(self, views: usize) -> Self {
         match self {
             Self::Auto if views < 48 => Self::ALL,
-            Self::Auto => Self::side(2),
+            Self::Auto => Self::Fixed { sides: [3; Self::BLOCKS], own: true, first: false },
             fixed => fixed,
         }
     }
