@@ -80,10 +80,8 @@ bool is_common(uint tile) { return POOLED && tile < common_tiles(); }
 uint keys_of(uint tile) { return is_common(tile) ? common_keys - tile * TILE : keys - (tile - common_tiles()) * TILE; }
 
 void load(uint tile) {
-    uint own_tile = tile - common_tiles();
-    uint head_sequence = gl_WorkGroupID.y * sequences + gl_WorkGroupID.z;
-    uint row = is_common(tile) ? gl_WorkGroupID.y * common_keys + tile * TILE
-                               : own_first + head_sequence * keys + own_tile * TILE;
+    uint own_row = own_first + (gl_WorkGroupID.y * sequences + gl_WorkGroupID.z) * keys;
+    uint row = is_common(tile) ? gl_WorkGroupID.y * common_keys + tile * TILE : own_row + (tile - common_tiles()) * TILE;
     uint last = keys_of(tile) * PIECES - 1;
     [[unroll]] for (uint i = 0; i < LOADS; i++) {
         uint at = row * PIECES + min(i * THREADS + gl_LocalInvocationID.x, last);
@@ -105,12 +103,9 @@ void stage() {
 void stage_biases(uint tile) {
     uint count = keys_of(tile);
     for (uint i = gl_LocalInvocationID.x; i < TILE; i += THREADS) {
-        float bias = 0.0;
-        if (POOLED) {
-            bias = log_counts[gl_WorkGroupID.z * common_keys + min(tile * TILE + i, common_keys - 1)];
-            bias = is_common(tile) ? bias : 0.0;
-        }
-        biases[i] = i < count ? bias : LOWEST;
+        uint at = gl_WorkGroupID.z * common_keys + min(tile * TILE + i, common_keys - 1);
+        float bias = POOLED ? log_counts[at] : 0.0;
+        biases[i] = i < count ? (is_common(tile) ? bias : 0.0) : LOWEST;
     }
 }
 

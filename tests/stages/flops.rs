@@ -61,7 +61,8 @@ fn pooled_keys_take_as_much_less() {
         assert_eq!(after[1], before[1]);
         assert_eq!(before[2] - after[2], before[0] - after[0]);
         assert_eq!((all.plan.flops() - fewer.plan.flops()) as f64, before[2] - after[2]);
-        assert!(fewer.bytes() <= all.bytes(), "{rule}");
+        // Own keys come besides the others.
+        assert!(fewer.bytes() <= all.bytes() || rule.ends_with("own"), "{rule}");
     }
 }
 

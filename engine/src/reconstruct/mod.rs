@@ -2,16 +2,15 @@
 
 mod blocks;
 mod features;
-mod kv_pool;
 mod network;
 mod options;
 mod patches;
 mod prepare;
 mod token_selection;
 
+pub use crate::ops::KvPool;
 pub use blocks::{Block, BlockLayout, BlockOptions, Seam};
 pub use features::{BackboneFeatures, SceneTokens};
-pub use kv_pool::KvPool;
 pub use network::{Network, NetworkPlan, Tensors};
 pub use options::{MAX_PATCHES, MAX_PHOTOS, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape};
 pub(crate) use options::{check_cameras, grid, no_camera_encoder, size_of};

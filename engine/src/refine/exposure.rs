@@ -12,10 +12,7 @@ use crate::{
     Result,
     gpu::{Recorder, Tensor},
     kernels::refine as kernels,
-    stages::{
-        FrameShape,
-        camera_sums::{CameraPart, RUN, camera_parts, record_camera_sums},
-    },
+    stages::{CameraPart, FrameShape, PIXELS_PER_RUN, camera_parts, record_camera_sums},
     types::ColorTransform,
 };
 
@@ -77,7 +74,7 @@ impl Exposed {
                     pixels,
                     groups,
                     first,
-                    run: RUN as u32,
+                    run: PIXELS_PER_RUN as u32,
                 };
                 rec.dispatch_groups(kernel, (cameras * groups) as usize);
             });

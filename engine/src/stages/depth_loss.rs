@@ -1,7 +1,4 @@
-use super::{
-    FrameShape,
-    camera_sums::{CameraPart, RUN, record_camera_sums},
-};
+use super::{CameraPart, FrameShape, PIXELS_PER_RUN, record_camera_sums};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::loss::{DepthGradient, DepthSums},
@@ -44,7 +41,8 @@ impl DepthFrames {
             record_camera_sums(rec, shape, &ALL, (lines, TERMS), |rec, part, sums| {
                 let CameraPart { cameras, pixels, groups, .. } = part;
                 let (frames, targets, colors) = (part.of(frames, CHANNELS), part.of(targets, 1), part.of(colors, 3));
-                let kernel = DepthSums { frames, targets, colors, sums, cameras, pixels, groups, run: RUN as u32 };
+                let kernel =
+                    DepthSums { frames, targets, colors, sums, cameras, pixels, groups, run: PIXELS_PER_RUN as u32 };
                 rec.dispatch_groups(kernel, (cameras * groups) as usize);
             });
         });
@@ -72,7 +70,7 @@ impl DepthFrames {
                     pixels,
                     groups,
                     first,
-                    run: RUN as u32,
+                    run: PIXELS_PER_RUN as u32,
                     fitted: kind == DepthKind::Relative,
                 };
                 rec.dispatch_groups(kernel, (cameras * groups) as usize);

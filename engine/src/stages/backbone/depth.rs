@@ -2,8 +2,7 @@ use super::transformer::{OutLayer, Transformer};
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
-    ops::{ParameterLayout, Parameters, Rows, place_groups},
-    reconstruct::KvPool,
+    ops::{KvPool, ParameterLayout, Parameters, Rows, place_groups},
     stages::{BackboneArchitecture, DepthFeatures, Reference, ViewGrid},
     types::{Camera, relative_encoding},
 };

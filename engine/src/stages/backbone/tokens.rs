@@ -2,8 +2,7 @@ use super::{features::Features, transformer::Transformer};
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
-    ops::{ParameterLayout, Parameters, Rows},
-    reconstruct::KvPool,
+    ops::{KvPool, ParameterLayout, Parameters, Rows},
     stages::{Architecture, Reference, ViewGrid},
     types::{Camera, prior_encoding},
 };

@@ -2,8 +2,7 @@ use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
     kernels::backbone::Tokens,
-    ops::{Block, Norm, Parameters, Rotary, Rows, Sequences},
-    reconstruct::KvPool,
+    ops::{Block, KvPool, Norm, Parameters, Rotary, Rows, Sequences},
     stages::{BackboneArchitecture, POSE_ENCODING, Reference, ViewGrid},
 };
 

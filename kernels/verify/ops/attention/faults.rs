@@ -36,14 +36,14 @@ impl Problem {
         let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
         let counted = |(key, score): (usize, &f64)| match fault {
             Fault::NoCounts => score - keys.count(key).ln(),
-            Fault::NeighborCount => score + (keys.count((key + 1) % self.keys()) / keys.count(key)).ln(),
+            Fault::NeighborCount => score + (keys.count((key + 1) % scores.len()) / keys.count(key)).ln(),
             _ => *score,
         };
         let scores: Vec<f64> = scores.iter().enumerate().map(counted).collect();
         let highest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut so_far = f64::NEG_INFINITY;
         let (mut total, mut sums) = (0.0, vec![0.0; self.dim]);
-        for (key, &score) in scores.iter().enumerate().filter(|(key, _)| self.counts(*key, fault)) {
+        for (key, &score) in scores.iter().enumerate().filter(|(key, _)| self.counts(*key, scores.len(), fault)) {
             so_far = so_far.max(score);
             let weight = (score - highest).exp();
             let (weight, counted) = match fault {
@@ -72,11 +72,11 @@ impl Problem {
         sums.iter().map(|sum| sum / total).collect()
     }
 
-    fn counts(&self, key: usize, fault: Fault) -> bool {
+    fn counts(&self, key: usize, all: usize, fault: Fault) -> bool {
         match fault {
             Fault::KeysFrom(end) => key < end,
             Fault::Key(lost) => key != lost,
-            Fault::LastKey => key + 1 < self.keys(),
+            Fault::LastKey => key + 1 < all,
             Fault::HalfOfKeys => key.is_multiple_of(2),
             _ => true,
         }
@@ -84,7 +84,7 @@ impl Problem {
 
     fn value<'a>(&self, key: usize, head: usize, v: &'a [f64], fault: Fault) -> &'a [f64] {
         let (key, head) = match fault {
-            Fault::NeighborValue => ((key + 1) % self.keys(), head),
+            Fault::NeighborValue => ((key + 1) % (v.len() / self.width()), head),
             Fault::NeighborHead => (key, (head + 1) % self.heads),
             _ => (key, head),
         };

@@ -1,4 +1,4 @@
-use crate::ops::Pool;
+use super::Pool;
 use std::{fmt, str::FromStr};
 
 /// Keys and values of the backbone's attention across views: fewer are faster and less exact.
