@@ -1,10 +1,6 @@
 //! Steps that do not fit the device.
 
 use super::*;
-use zipsplat::{
-    gpu::{Resident, ResidentLayout},
-    refine::RefineCheckpoint,
-};
 
 fn open(max_memory_bytes: u64) -> Device {
     let options = DeviceOptions { max_memory_bytes: Some(max_memory_bytes), ..DeviceOptions::default() };
