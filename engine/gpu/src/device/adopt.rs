@@ -1,5 +1,5 @@
 use super::{
-    Shared, SharedParts,
+    Shared,
     features::{BYTES, DOT_PRODUCTS, Feature, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::Matrices,
@@ -106,20 +106,9 @@ impl Device {
         // SAFETY: the caller vouches for the device.
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), vk::Device::from_raw(device)) };
         let queue = Queue::new(vk::Queue::from_raw(queue), adopted.queue_lock);
-        let parts = SharedParts {
-            instance,
-            physical,
-            index: 0,
-            raw,
-            owned: false,
-            queue,
-            family,
-            limits,
-            force_staging: false,
-            cache_dir: adopted.cache_dir,
-            passed_over: Vec::new(),
-        };
-        Shared::new(parts, support.subgroup_control).map(|shared| Self(Arc::new(shared)))
+        let mut shared = Shared::new(instance, physical, raw, (queue, family), limits, support.subgroup_control)?;
+        shared.cache_dir = adopted.cache_dir;
+        Ok(Self(Arc::new(shared)))
     }
 }
 

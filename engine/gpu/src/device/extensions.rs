@@ -11,9 +11,9 @@ macro_rules! features {
         #[repr(C)]
         #[derive(Clone, Copy)]
         pub struct $name {
-            s_type: vk::StructureType,
-            p_next: *mut c_void,
-            $($feature: vk::Bool32,)+
+            pub s_type: vk::StructureType,
+            pub p_next: *mut c_void,
+            $(pub $feature: vk::Bool32,)+
         }
 
         impl Default for $name {
@@ -38,16 +38,6 @@ pub const BFLOAT16: &CStr = c"VK_KHR_shader_bfloat16";
 pub const BFLOAT16_COMPONENT: vk::ComponentTypeKHR = vk::ComponentTypeKHR::from_raw(1000141000);
 features!(Bfloat16, 1000141000, in_buffers, dot_product, matrices);
 
-impl Bfloat16 {
-    pub fn matrices() -> Self {
-        Self { in_buffers: vk::TRUE, matrices: vk::TRUE, ..Self::default() }
-    }
-
-    pub fn has_matrices(&self) -> bool {
-        [self.in_buffers, self.matrices] == [vk::TRUE; 2]
-    }
-}
-
 /// Only conversions are used.
 pub const COOPERATIVE_MATRIX2: &CStr = c"VK_NV_cooperative_matrix2";
 features!(
@@ -61,13 +51,3 @@ features!(
     tensor_addressing,
     block_loads
 );
-
-impl CooperativeMatrix2 {
-    pub fn conversions() -> Self {
-        Self { conversions: vk::TRUE, ..Self::default() }
-    }
-
-    pub fn has_conversions(&self) -> bool {
-        self.conversions == vk::TRUE
-    }
-}

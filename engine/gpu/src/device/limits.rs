@@ -93,9 +93,7 @@ impl Limits {
             _ => Ok(()),
         }
     }
-}
 
-impl Limits {
     /// Returns the UUID as 32 hexadecimal digits, or "none".
     pub fn uuid(&self) -> &str {
         self.identity.split('-').next().unwrap_or_default()

@@ -6,7 +6,6 @@ pub(crate) mod failure;
 mod features;
 mod instance;
 mod limits;
-mod loss;
 mod pipelines;
 mod probe;
 mod queue;
@@ -95,20 +94,6 @@ pub(crate) struct Shared {
     pub instance: Instance,
 }
 
-pub(crate) struct SharedParts {
-    pub instance: Instance,
-    pub physical: vk::PhysicalDevice,
-    pub index: usize,
-    pub raw: ash::Device,
-    pub owned: bool,
-    pub queue: Queue,
-    pub family: u32,
-    pub limits: Limits,
-    pub force_staging: bool,
-    pub cache_dir: Option<PathBuf>,
-    pub passed_over: Vec<String>,
-}
-
 impl Device {
     /// Opens the best device.
     pub fn open_default() -> Result<Self> {
@@ -143,9 +128,11 @@ impl Device {
             return Err(Error::NoDevice(why.join("; ")));
         };
         let (physical, index) = (*physical, chosen.index);
-        let passed_over: Vec<_> =
+        let passed_over =
             matching.iter().filter(|(_, d)| chosen.limits.cpu && !d.limits.cpu).map(|(_, d)| d.lacks()).collect();
-        Shared::open(instance, physical, index, options, passed_over).map(|s| Self(Arc::new(s)))
+        let mut shared = Shared::open(instance, physical, options)?;
+        (shared.index, shared.passed_over) = (index, passed_over);
+        Ok(Self(Arc::new(shared)))
     }
 
     /// Returns [`DeviceOptions::device`]'s index; 0 for adopted devices.
@@ -180,13 +167,7 @@ impl Device {
 }
 
 impl Shared {
-    fn open(
-        instance: Instance,
-        physical: vk::PhysicalDevice,
-        index: usize,
-        options: &DeviceOptions,
-        passed_over: Vec<String>,
-    ) -> Result<Self> {
+    fn open(instance: Instance, physical: vk::PhysicalDevice, options: &DeviceOptions) -> Result<Self> {
         let (mut limits, support) = probe(&instance, physical);
         limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
         limits.addresses &= !options.robust_access;
@@ -217,11 +198,11 @@ impl Shared {
         if i8 {
             enabled.enable(&BYTES);
         }
-        let mut bf16_features = extensions::Bfloat16::matrices();
+        let mut bf16_features = extensions::Bfloat16 { in_buffers: vk::TRUE, matrices: vk::TRUE, ..Default::default() };
         if bf16 {
             extensions.push(extensions::BFLOAT16.as_ptr());
         }
-        let mut conversions = extensions::CooperativeMatrix2::conversions();
+        let mut conversions = extensions::CooperativeMatrix2 { conversions: vk::TRUE, ..Default::default() };
         if limits.matrices.conversions {
             extensions.push(extensions::COOPERATIVE_MATRIX2.as_ptr());
         }
@@ -246,24 +227,21 @@ impl Shared {
             .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
         // SAFETY: the queue was requested above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
-        let parts = SharedParts {
-            instance,
-            physical,
-            index,
-            raw,
-            owned: true,
-            queue,
-            family,
-            limits,
-            force_staging: options.force_staging,
-            cache_dir: options.cache_dir.clone(),
-            passed_over,
-        };
-        Self::new(parts, support.subgroup_control)
+        let mut shared = Self::new(instance, physical, raw, (queue, family), limits, support.subgroup_control)?;
+        (shared.owned, shared.force_staging) = (true, options.force_staging);
+        shared.cache_dir.clone_from(&options.cache_dir);
+        Ok(shared)
     }
 
-    pub fn new(parts: SharedParts, subgroup_control: bool) -> Result<Self> {
-        let SharedParts { instance, physical, raw, limits, .. } = parts;
+    /// Wraps a device that the caller owns.
+    fn new(
+        instance: Instance,
+        physical: vk::PhysicalDevice,
+        raw: ash::Device,
+        (queue, family): (Queue, u32),
+        limits: Limits,
+        subgroup_control: bool,
+    ) -> Result<Self> {
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),
@@ -275,18 +253,18 @@ impl Shared {
         .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;
         let debug = instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw));
         Ok(Self {
-            queue: parts.queue,
-            family: parts.family,
+            queue,
+            family,
             allocated: AtomicU64::new(0),
             flops_per_ms: Mutex::default(),
-            force_staging: parts.force_staging,
-            cache_dir: parts.cache_dir,
-            index: parts.index,
-            passed_over: parts.passed_over,
+            force_staging: false,
+            cache_dir: None,
+            index: 0,
+            passed_over: Vec::new(),
             lost: AtomicBool::new(false),
             pipelines: Pipelines::new(raw.clone(), debug, limits.subgroup_size, subgroup_control),
             allocator: Mutex::new(Some(allocator)),
-            owned: parts.owned,
+            owned: false,
             raw,
             limits,
             instance,

@@ -123,7 +123,11 @@ pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         && offered.have(&MATRICES)
         // Mesa 26.1's lavapipe crashes on 8 x 8 matrices with subgroups of 16.
         && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
-    let offers = Offers { bf16: bf16.has_matrices(), i8: offered.have(&BYTES), conversions: second.has_conversions() };
+    let offers = Offers {
+        bf16: [bf16.in_buffers, bf16.matrices] == [vk::TRUE; 2],
+        i8: offered.have(&BYTES),
+        conversions: second.conversions == vk::TRUE,
+    };
     let subgroup_control = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
     // Intel reports subgroups of 32, its size with the fewest registers per lane; kernels keep
     // tiles in registers.

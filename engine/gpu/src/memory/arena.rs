@@ -92,7 +92,7 @@ impl Drop for Claim {
 
 pub(crate) struct Lane {
     device: Device,
-    timeline: vk::Semaphore,
+    pub timeline: vk::Semaphore,
     signalled: AtomicU64,
     waited: AtomicU64,
     state: Mutex<State>,
@@ -159,10 +159,6 @@ impl Lane {
 
     pub fn holds(&self, run: u64) -> bool {
         lock(&self.state).user == run
-    }
-
-    pub fn timeline(&self) -> vk::Semaphore {
-        self.timeline
     }
 
     pub fn next_value(&self) -> Result<u64> {

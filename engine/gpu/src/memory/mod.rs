@@ -88,8 +88,8 @@ impl Memory {
             unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), memory, bytes.len()) };
             return Ok(());
         }
-        let mut staging = self.staging()?;
-        let stage = staging.as_mut().expect("made above");
+        let staging = self.staging()?;
+        let stage = staging.as_ref().expect("made above");
         for (i, chunk) in bytes.chunks(STAGING_BYTES as usize).enumerate() {
             let memory = stage.bytes_at(0, chunk.len()).ok_or_else(unmapped)?;
             // SAFETY: as above; the staging block is locked.
@@ -108,8 +108,8 @@ impl Memory {
             unsafe { std::ptr::copy_nonoverlapping(memory, bytes.as_mut_ptr(), bytes.len()) };
             return Ok(());
         }
-        let mut staging = self.staging()?;
-        let stage = staging.as_mut().expect("made above");
+        let staging = self.staging()?;
+        let stage = staging.as_ref().expect("made above");
         for (i, chunk) in bytes.chunks_mut(STAGING_BYTES as usize).enumerate() {
             let at = offset + i as u64 * STAGING_BYTES;
             self.transfer(source.buffer, at, stage.buffer, 0, chunk.len() as u64)?;
@@ -124,8 +124,7 @@ impl Memory {
     fn staging(&self) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
         let mut staging = lock(&self.staging);
         if staging.is_none() {
-            let block = Block::new(&self.shared, "staging", STAGING_BYTES, MemoryLocation::GpuToCpu)?;
-            *staging = Some(block);
+            *staging = Some(Block::new(&self.shared, "staging", STAGING_BYTES, MemoryLocation::GpuToCpu)?);
         }
         Ok(staging)
     }

@@ -48,14 +48,8 @@ impl StagingBuffers {
         Ok(Self { memory, offsets, upload, download })
     }
 
-    /// Returns false without a staging buffer.
-    pub fn write(&self, allocation: usize, offset: u64, bytes: &[u8]) -> Result<bool> {
-        let Some(staged) = self.offsets[allocation] else { return Ok(false) };
-        self.memory.write(0, staged + offset, bytes).map(|()| true)
-    }
-
-    pub fn read(&self, allocation: usize, offset: u64, bytes: &mut [u8]) -> Result<bool> {
-        let Some(staged) = self.offsets[allocation] else { return Ok(false) };
-        self.memory.read(0, staged + offset, bytes).map(|()| true)
+    /// Returns the memory and offset of an allocation's staging buffer, if any.
+    pub fn place(&self, allocation: usize) -> Option<(&Memory, u64)> {
+        self.offsets[allocation].map(|offset| (&self.memory, offset))
     }
 }

@@ -108,19 +108,19 @@ impl Recorder {
     /// Dispatches workgroups of at least `threads` invocations.
     pub fn dispatch<K: Kernel>(&mut self, kernel: K, threads: impl Threads) -> Recorded<'_> {
         let size = kernel.module().local_size.xyz(self.limits.subgroup_size, &kernel.constants());
-        let (threads, one_dimensional) = (threads.xyz(), threads.one_dimensional());
-        let groups = [0, 1, 2].map(|i| threads[i].div_ceil(size[i]));
-        self.fixed(kernel, groups, one_dimensional)
+        let (threads, along_x) = threads.counts();
+        self.fixed(kernel, [0, 1, 2].map(|i| threads[i].div_ceil(size[i])), along_x)
     }
 
     /// Dispatches workgroups. A single count above `GROUP_FOLD` is folded into rows, which
     /// `group_index()` unfolds in kernels.
     pub fn dispatch_groups<K: Kernel>(&mut self, kernel: K, groups: impl Threads) -> Recorded<'_> {
-        self.fixed(kernel, groups.xyz(), groups.one_dimensional())
+        let (groups, along_x) = groups.counts();
+        self.fixed(kernel, groups, along_x)
     }
 
-    fn fixed<K: Kernel>(&mut self, kernel: K, mut groups: [u32; 3], one_dimensional: bool) -> Recorded<'_> {
-        if one_dimensional && groups[0] > GROUP_FOLD {
+    fn fixed<K: Kernel>(&mut self, kernel: K, mut groups: [u32; 3], along_x: bool) -> Recorded<'_> {
+        if along_x && groups[0] > GROUP_FOLD {
             groups = [GROUP_FOLD, groups[0].div_ceil(GROUP_FOLD), 1];
         }
         let module = kernel.module();
@@ -134,7 +134,25 @@ impl Recorder {
         if groups.contains(&0) {
             return Recorded(None);
         }
-        self.push(kernel, groups)
+        let Needs { half_storage, matrices, conversions, dot_products } = module.needs;
+        let can = (!half_storage || self.limits.half_storage)
+            && (!dot_products || self.limits.dot_products)
+            && (!conversions || self.limits.matrices.conversions)
+            && matrices.is_none_or(|factor| self.limits.matrices.of(factor).is_some());
+        assert!(can, "{} needs what {} has not: {:?}", module.name, self.limits.name, module.needs);
+        let buffers = kernel.buffers();
+        for (tensor, binding) in buffers.iter().zip(module.bindings) {
+            if tensor.bytes > self.limits.max_binding_bytes {
+                self.fail(Error::Memory {
+                    what: format!("binding {} of {} at once", binding.name, module.name),
+                    needed: tensor.bytes,
+                    available: self.limits.max_binding_bytes,
+                });
+            }
+        }
+        let (constants, push) = (kernel.constants(), kernel.push());
+        self.command(Operation::Dispatch(Dispatch { module, constants, push, buffers, groups }));
+        Recorded(self.commands.last_mut())
     }
 
     /// Fills a tensor with a 32-bit word.
@@ -178,29 +196,6 @@ impl Recorder {
         let name = if scope.is_empty() { name.to_owned() } else { format!("{scope}/{name}") };
         self.allocations.push(Allocation { name, bytes, role, kept: false, output: false });
         Tensor { home: Home::Arena(self.allocations.len() as u32 - 1), offset: 0, bytes }
-    }
-
-    fn push<K: Kernel>(&mut self, kernel: K, groups: [u32; 3]) -> Recorded<'_> {
-        let module = kernel.module();
-        let Needs { half_storage, matrices, conversions, dot_products } = module.needs;
-        let can = (!half_storage || self.limits.half_storage)
-            && (!dot_products || self.limits.dot_products)
-            && (!conversions || self.limits.matrices.conversions)
-            && matrices.is_none_or(|factor| self.limits.matrices.of(factor).is_some());
-        assert!(can, "{} needs what {} has not: {:?}", module.name, self.limits.name, module.needs);
-        let buffers = kernel.buffers();
-        for (tensor, binding) in buffers.iter().zip(module.bindings) {
-            if tensor.bytes > self.limits.max_binding_bytes {
-                self.fail(Error::Memory {
-                    what: format!("binding {} of {} at once", binding.name, module.name),
-                    needed: tensor.bytes,
-                    available: self.limits.max_binding_bytes,
-                });
-            }
-        }
-        let (constants, push) = (kernel.constants(), kernel.push());
-        self.command(Operation::Dispatch(Dispatch { module, constants, push, buffers, groups }));
-        Recorded(self.commands.last_mut())
     }
 
     fn command(&mut self, operation: Operation) {
@@ -269,29 +264,24 @@ impl Recorded<'_> {
 
 /// Counts along x, y and z; a single number counts along x.
 pub trait Threads: Copy {
-    fn xyz(self) -> [u32; 3];
-    fn one_dimensional(self) -> bool {
-        true
-    }
+    /// Returns the counts, and whether they are a single number.
+    fn counts(self) -> ([u32; 3], bool);
 }
 
 impl Threads for u32 {
-    fn xyz(self) -> [u32; 3] {
-        [self, 1, 1]
+    fn counts(self) -> ([u32; 3], bool) {
+        ([self, 1, 1], true)
     }
 }
 
 impl Threads for usize {
-    fn xyz(self) -> [u32; 3] {
-        [u32::try_from(self).expect("dispatches count in 32 bits"), 1, 1]
+    fn counts(self) -> ([u32; 3], bool) {
+        u32::try_from(self).expect("dispatches count in 32 bits").counts()
     }
 }
 
 impl Threads for [u32; 3] {
-    fn xyz(self) -> [u32; 3] {
-        self
-    }
-    fn one_dimensional(self) -> bool {
-        false
+    fn counts(self) -> ([u32; 3], bool) {
+        (self, false)
     }
 }

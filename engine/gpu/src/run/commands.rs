@@ -127,7 +127,7 @@ impl<'a> Encoder<'a> {
     fn dispatch(&self, dispatch: &Dispatch, piece: Piece) -> Result<()> {
         let module = dispatch.module;
         let pipeline = self.bound.shared.pipelines.get(module, &dispatch.constants)?;
-        let sets = [self.descriptors.of(piece.command)];
+        let sets = [self.descriptors.sets[piece.command]];
         let compute = vk::PipelineBindPoint::COMPUTE;
         let mut push = dispatch.push;
         for &(buffer, word) in module.addresses {

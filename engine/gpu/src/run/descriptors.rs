@@ -11,7 +11,8 @@ use ash::vk;
 pub(crate) struct Descriptors {
     device: Device,
     pool: vk::DescriptorPool,
-    sets: Vec<vk::DescriptorSet>,
+    /// By command; null for fills and copies.
+    pub sets: Vec<vk::DescriptorSet>,
 }
 
 impl Descriptors {
@@ -32,10 +33,6 @@ impl Descriptors {
             descriptors.sets.push(set.unwrap_or_default());
         }
         Ok(descriptors)
-    }
-
-    pub fn of(&self, command: usize) -> vk::DescriptorSet {
-        self.sets[command]
     }
 
     fn set(&self, bound: &Bindings<'_>, dispatch: &Dispatch) -> Result<vk::DescriptorSet> {

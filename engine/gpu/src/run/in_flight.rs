@@ -30,8 +30,7 @@ impl Run {
         self.begin()?;
         self.encode_all()?;
         self.in_flight = true;
-        let upload = self.staging.as_ref().map(|staging| staging.upload);
-        let download = self.staging.as_ref().map(|staging| staging.download);
+        let (upload, download) = self.staging.as_ref().map(|staging| (staging.upload, staging.download)).unzip();
         let batches: Vec<_> = self.batches.iter().map(|batch| batch.commands).collect();
         for commands in upload.into_iter().chain(batches).chain(download) {
             self.submit(commands)?;

@@ -173,8 +173,8 @@ impl Run {
         self.bind()?;
         let id = tensor.allocation();
         self.written[id] = true;
-        if self.staging.as_ref().map_or(Ok(false), |staging| staging.write(id, tensor.offset, bytes))? {
-            return Ok(());
+        if let Some((memory, offset)) = self.staging.as_ref().and_then(|staging| staging.place(id)) {
+            return memory.write(0, offset + tensor.offset, bytes);
         }
         let place = self.plan.placements[id];
         self.lane.memory().write(place.block, place.offset + tensor.offset, bytes)
@@ -192,8 +192,9 @@ impl Run {
         let place = self.plan.placements[id];
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         let bytes = bytemuck::cast_slice_mut(&mut data);
-        if !self.staging.as_ref().map_or(Ok(false), |staging| staging.read(id, tensor.offset, bytes))? {
-            self.lane.memory().read(place.block, place.offset + tensor.offset, bytes)?;
+        match self.staging.as_ref().and_then(|staging| staging.place(id)) {
+            Some((memory, offset)) => memory.read(0, offset + tensor.offset, bytes)?,
+            None => self.lane.memory().read(place.block, place.offset + tensor.offset, bytes)?,
         }
         Ok(data)
     }
@@ -335,7 +336,7 @@ impl Run {
     /// Submits between semaphore values; returns the timeline's value at the end.
     fn submit_between(&mut self, commands: vk::CommandBuffer, waits: &[Point], signals: &[Point]) -> Result<u64> {
         let value = self.lane.next_value()?;
-        let own = Point { semaphore: self.lane.timeline().as_raw(), value };
+        let own = Point { semaphore: self.lane.timeline.as_raw(), value };
         let infos = |points: &[Point]| points.iter().map(submit_info).collect::<Vec<_>>();
         let (waits, signals) = (infos(waits), infos(&[signals, &[own]].concat()));
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
