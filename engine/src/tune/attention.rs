@@ -2,57 +2,44 @@ use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::encoded_no
 use crate::{
     Result,
     gpu::{Device, Element, Limits, Recorder, Run, Tensor},
-    ops::{Arithmetic, Attention, AttentionKernel, Heads, Part, Rows, Tile, Units},
+    ops::{Attention, AttentionKernel, Heads, Part, Rows, Tile, Units},
 };
-
-pub(super) struct Attentions;
 
 /// Unit roundoffs, for rounded queries, weights and results.
 const LIMIT: f64 = 40.0;
 
-impl Operation for Attentions {
-    fn name(&self) -> &'static str {
-        "attention"
-    }
-
-    fn lanes(&self) -> &'static [Element] {
-        &Element::HALVES
-    }
-
-    fn factors(&self) -> &'static [Element] {
-        &Element::HALVES
-    }
-
-    fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile> {
-        let fits_all = !Tile::attention(limits, units, Tile::MOST_CHANNELS).is_empty();
-        if fits_all { Tile::attention(limits, units, Tile::TUNED_CHANNELS) } else { Vec::new() }
-    }
-
-    fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
-        vec![(kernel_name("ops/attention", on_units, factor), factor)]
-    }
-
-    fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
-        let (kernel, queries) = match candidate {
-            Candidate::Lanes(..) => (kernel(candidate), 35),
-            Candidate::Units(units, tile) => (kernel(candidate), tile.sides(units)[0] + 3),
-        };
-        let attended = |kernel: AttentionKernel| -> Result<Vec<f32>> {
-            let (mut run, out) = attention(device, kernel, output, queries, 100)?;
-            run.execute()?;
-            Ok(kernel.element().decode(&run.read::<u8>(out)?))
-        };
-        let (exact, fast) = (attended(AttentionKernel::Lanes(Element::F32))?, attended(kernel)?);
-        Ok(deviation(LIMIT * output.roundoff(), 0.0, &exact, &fast))
-    }
-
-    fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run> {
+pub(super) const ATTENTION: Operation = Operation {
+    name: "attention",
+    lanes: &Element::HALVES,
+    factors: &Element::HALVES,
+    tiles,
+    lane_tiles: |_, _| Vec::new(),
+    kernels: |on_units, factor| vec![(kernel_name("ops/attention", on_units, factor), factor)],
+    deviation: attention_deviation,
+    timed: |device, candidate, rows| {
         attention(device, kernel(candidate), candidate.factor(), rows, TERMS).map(|(run, _)| run)
-    }
+    },
+    chosen: |arithmetic| vec![&mut arithmetic.attention],
+    chosen_on_lanes: |_| Vec::new(),
+};
 
-    fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
-        vec![&mut arithmetic.attention]
-    }
+fn tiles(limits: &Limits, units: Units) -> Vec<Tile> {
+    let fits_all = !Tile::attention(limits, units, Tile::MOST_CHANNELS).is_empty();
+    if fits_all { Tile::attention(limits, units, Tile::TUNED_CHANNELS) } else { Vec::new() }
+}
+
+fn attention_deviation(device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
+    let queries = match candidate {
+        Candidate::Lanes(..) => 35,
+        Candidate::Units(units, tile) => tile.sides(units)[0] + 3,
+    };
+    let attended = |kernel: AttentionKernel| -> Result<Vec<f32>> {
+        let (mut run, out) = attention(device, kernel, output, queries, 100)?;
+        run.execute()?;
+        Ok(kernel.element().decode(&run.read::<u8>(out)?))
+    };
+    let (exact, fast) = (attended(AttentionKernel::Lanes(Element::F32))?, attended(kernel(candidate))?);
+    Ok(deviation(LIMIT * output.roundoff(), 0.0, &exact, &fast))
 }
 
 fn kernel(candidate: Candidate) -> AttentionKernel {

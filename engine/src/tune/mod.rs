@@ -19,34 +19,23 @@ use crate::{
     ops::{Arithmetic, LaneTile, Lanes, Tile, Tiles, Units},
 };
 
-trait Operation: Sync {
-    fn name(&self) -> &'static str;
-
-    fn lanes(&self) -> &'static [Element];
-
-    fn factors(&self) -> &'static [Element];
-
-    fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile>;
-
+struct Operation {
+    name: &'static str,
+    lanes: &'static [Element],
+    factors: &'static [Element],
+    tiles: fn(&Limits, Units) -> Vec<Tile>,
     /// Tiles on lanes, default first.
-    fn lane_tiles(&self, _limits: &Limits, _factor: Element) -> Vec<LaneTile> {
-        Vec::new()
-    }
-
-    fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)>;
-
-    fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>>;
-
-    fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run>;
-
-    fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>>;
-
-    fn chosen_on_lanes<'a>(&self, _arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {
-        Vec::new()
-    }
+    lane_tiles: fn(&Limits, Element) -> Vec<LaneTile>,
+    /// Kernels on matrix units or lanes, with their output types.
+    kernels: fn(bool, Element) -> Vec<(String, Element)>,
+    deviation: fn(&Device, Candidate, Element) -> Result<Option<f64>>,
+    /// A run of so many rows.
+    timed: fn(&Device, Candidate, usize) -> Result<Run>,
+    chosen: fn(&mut Arithmetic) -> Vec<&mut Option<Units>>,
+    chosen_on_lanes: fn(&mut Arithmetic) -> Vec<(Element, &mut Tiles)>,
 }
 
-const OPERATIONS: [&dyn Operation; 3] = [&linear::LinearLayers, &attention::Attentions, &nearest::NearestSearches];
+static OPERATIONS: [Operation; 3] = [linear::LINEAR, attention::ATTENTION, nearest::NEAREST];
 
 #[derive(Clone, Copy)]
 enum Candidate {
@@ -74,27 +63,25 @@ impl Candidate {
     }
 }
 
-impl dyn Operation {
+impl Operation {
     /// f32, and types without matrix units.
     fn on_lanes(&self, limits: &Limits) -> Vec<Candidate> {
-        let narrow = self
-            .lanes()
-            .iter()
-            .copied()
-            .filter(|factor| on_lanes(limits, *factor) && limits.matrices.of(*factor).is_none());
+        let is_narrow = |factor: &Element| on_lanes(limits, *factor) && limits.matrices.of(*factor).is_none();
+        let narrow = self.lanes.iter().copied().filter(is_narrow);
         let of = |factor| {
             let always = move |(index, tile)| {
                 Candidate::Lanes(Lanes { tiles: Tiles::always(index), ..Lanes::of(factor) }, Some(tile))
             };
-            self.lane_tiles(limits, factor).into_iter().enumerate().map(always)
+            (self.lane_tiles)(limits, factor).into_iter().enumerate().map(always)
         };
         [Element::F32].into_iter().chain(narrow).flat_map(of).collect()
     }
 
     fn on_units(&self, limits: &Limits) -> Vec<(Units, Vec<Candidate>)> {
-        let units = self.factors().iter().filter_map(|factor| Units::of(*factor, limits));
+        let units = self.factors.iter().filter_map(|factor| Units::of(*factor, limits));
         let always = |units, (index, tile)| Candidate::Units(Units { tiles: Tiles::always(index), ..units }, tile);
-        let candidates = |units| self.tiles(limits, units).into_iter().enumerate().map(move |tile| always(units, tile));
+        let candidates =
+            |units| (self.tiles)(limits, units).into_iter().enumerate().map(move |tile| always(units, tile));
         units.map(|units| (units, candidates(units).collect())).collect()
     }
 }

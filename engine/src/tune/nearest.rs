@@ -1,75 +1,60 @@
 use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::noise, self_test::deviation};
 use crate::{
     Result,
-    gpu::{Device, Element, Limits, Recorder, Run, Tensor},
-    ops::{Arithmetic, Nearest, NearestKernel, Rows, Tile, Units},
+    gpu::{Device, Element, Recorder, Run, Tensor},
+    ops::{Nearest, NearestKernel, Rows, Tile},
 };
-
-pub(super) struct NearestSearches;
 
 /// Relative squared distance: rounding plus ties.
 const LIMIT: f64 = 1e-5 + Nearest::TIE as f64;
 
-impl Operation for NearestSearches {
-    fn name(&self) -> &'static str {
-        "nearest"
-    }
+pub(super) const NEAREST: Operation = Operation {
+    name: "nearest",
+    // f32 differences are always exact.
+    lanes: &[],
+    factors: &[Element::F16],
+    tiles: Tile::nearest,
+    lane_tiles: |_, _| Vec::new(),
+    kernels: |on_units, factor| vec![(kernel_name("cluster/nearest", on_units, factor), Element::F32)],
+    deviation: nearest_deviation,
+    timed,
+    chosen: |arithmetic| vec![&mut arithmetic.nearest],
+    chosen_on_lanes: |_| Vec::new(),
+};
 
-    /// f32 differences are always exact.
-    fn lanes(&self) -> &'static [Element] {
-        &[]
+/// The low halves must separate near ties.
+fn nearest_deviation(device: &Device, candidate: Candidate, _: Element) -> Result<Option<f64>> {
+    const WIDTH: usize = 76;
+    let Candidate::Units(units, tile) = candidate else { return Ok(Some(0.0)) };
+    // Several workgroups per axis, the last partial.
+    let [points, targets] = tile.sides(units);
+    let (points, targets) = (4 * points + 3, 2 * targets + 6);
+    let [mut from, to] = [(1, points), (2, targets)].map(|(seed, rows)| noise(seed, rows, WIDTH, Element::F32));
+    for (i, x) in from.iter_mut().enumerate() {
+        let at = i / WIDTH % (targets - 1) * WIDTH + i % WIDTH;
+        *x = 0.5 * (to[at] + to[at + WIDTH]) + *x / 2048.0;
     }
-
-    fn factors(&self) -> &'static [Element] {
-        &[Element::F16]
-    }
-
-    fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile> {
-        Tile::nearest(limits, units)
-    }
-
-    fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
-        vec![(kernel_name("cluster/nearest", on_units, factor), Element::F32)]
-    }
-
-    /// The low halves must separate near ties.
-    fn deviation(&self, device: &Device, candidate: Candidate, _: Element) -> Result<Option<f64>> {
-        const WIDTH: usize = 76;
-        let Candidate::Units(units, tile) = candidate else { return Ok(Some(0.0)) };
-        // Several workgroups per axis, the last partial.
-        let [points, targets] = tile.sides(units);
-        let (points, targets) = (4 * points + 3, 2 * targets + 6);
-        let [mut from, to] = [(1, points), (2, targets)].map(|(seed, rows)| noise(seed, rows, WIDTH, Element::F32));
-        for (i, x) in from.iter_mut().enumerate() {
-            let at = i / WIDTH % (targets - 1) * WIDTH + i % WIDTH;
-            *x = 0.5 * (to[at] + to[at + WIDTH]) + *x / 2048.0;
-        }
-        let distances = |kernel: NearestKernel| -> Result<Vec<f32>> {
-            let (mut run, out) = nearest(device, kernel, [&from, &to], WIDTH)?;
-            run.execute()?;
-            let squared = |(point, index): (&[f32], u32)| {
-                let target = to.chunks(WIDTH).nth(index as usize).unwrap_or(&[f32::NAN; WIDTH]);
-                let squares = point.iter().zip(target).map(|(p, t)| f64::from(p - t).powi(2));
-                squares.sum::<f64>() as f32
-            };
-            Ok(from.chunks(WIDTH).zip(run.read(out)?).map(squared).collect())
+    let distances = |kernel: NearestKernel| -> Result<Vec<f32>> {
+        let (mut run, out) = nearest(device, kernel, [&from, &to], WIDTH)?;
+        run.execute()?;
+        let squared = |(point, index): (&[f32], u32)| {
+            let target = to.chunks(WIDTH).nth(index as usize).unwrap_or(&[f32::NAN; WIDTH]);
+            let squares = point.iter().zip(target).map(|(p, t)| f64::from(p - t).powi(2));
+            squares.sum::<f64>() as f32
         };
-        let (exact, fast) = (distances(NearestKernel::Lanes)?, distances(NearestKernel::Matrix(units))?);
-        Ok(deviation(LIMIT, 0.0, &exact, &fast))
-    }
+        Ok(from.chunks(WIDTH).zip(run.read(out)?).map(squared).collect())
+    };
+    let (exact, fast) = (distances(NearestKernel::Lanes)?, distances(NearestKernel::Matrix(units))?);
+    Ok(deviation(LIMIT, 0.0, &exact, &fast))
+}
 
-    fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run> {
-        let kernel = match candidate {
-            Candidate::Lanes(..) => NearestKernel::Lanes,
-            Candidate::Units(units, _) => NearestKernel::Matrix(units),
-        };
-        let [points, targets] = [(1, rows), (2, COLUMNS)].map(|(seed, rows)| noise(seed, rows, TERMS, Element::F32));
-        nearest(device, kernel, [&points, &targets], TERMS).map(|(run, _)| run)
-    }
-
-    fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
-        vec![&mut arithmetic.nearest]
-    }
+fn timed(device: &Device, candidate: Candidate, rows: usize) -> Result<Run> {
+    let kernel = match candidate {
+        Candidate::Lanes(..) => NearestKernel::Lanes,
+        Candidate::Units(units, _) => NearestKernel::Matrix(units),
+    };
+    let [points, targets] = [(1, rows), (2, COLUMNS)].map(|(seed, rows)| noise(seed, rows, TERMS, Element::F32));
+    nearest(device, kernel, [&points, &targets], TERMS).map(|(run, _)| run)
 }
 
 fn nearest(device: &Device, kernel: NearestKernel, rows: [&[f32]; 2], width: usize) -> Result<(Run, Tensor)> {

@@ -21,7 +21,7 @@ pub struct SelfTest {
 }
 
 struct Group {
-    operation: &'static dyn Operation,
+    operation: &'static Operation,
     kernels: Vec<(String, Element)>,
     candidates: Vec<Candidate>,
 }
@@ -77,16 +77,16 @@ impl SelfTest {
     /// Removes failed matrix kernels; `None` if their replacements failed too.
     pub(super) fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
         let mut allowed = wanted;
-        for operation in OPERATIONS {
+        for operation in &OPERATIONS {
             let passed =
-                |on_units, factor| operation.kernels(on_units, factor).iter().all(|(kernel, _)| self.passed(kernel));
-            if operation.lanes().contains(&wanted.element) && !passed(false, wanted.element) {
+                |on_units, factor| (operation.kernels)(on_units, factor).iter().all(|(kernel, _)| self.passed(kernel));
+            if operation.lanes.contains(&wanted.element) && !passed(false, wanted.element) {
                 return None;
             }
-            for units in operation.chosen(&mut allowed) {
+            for units in (operation.chosen)(&mut allowed) {
                 *units = units.filter(|units| passed(true, units.factor));
             }
-            if operation.lanes().contains(&Element::I8) {
+            if operation.lanes.contains(&Element::I8) {
                 allowed.dots = allowed.dots.filter(|_| passed(false, Element::I8));
             }
         }
@@ -114,7 +114,7 @@ impl SelfTest {
                     }
                     done += 1;
                     // Only errors that stop the other kernels are returned.
-                    match operation.deviation(device, candidate, *output) {
+                    match (operation.deviation)(device, candidate, *output) {
                         Ok(deviation) => *worst = worse(*worst, deviation),
                         Err(error @ Error::Memory { .. }) => return Err(error),
                         Err(Error::DeviceLost) => {
@@ -141,8 +141,8 @@ impl Group {
     }
 
     fn of(limits: &Limits, wanted: Arithmetic) -> Vec<Self> {
-        let chosen = |operation: &dyn Operation, factor| {
-            operation.chosen(&mut { wanted }).iter().any(|units| units.is_some_and(|units| units.factor == factor))
+        let chosen = |operation: &Operation, factor| {
+            (operation.chosen)(&mut { wanted }).iter().any(|units| units.is_some_and(|units| units.factor == factor))
         };
         let lanes = |element| element == wanted.element || (element == Element::I8 && wanted.dots.is_some());
         Self::those(limits, lanes, chosen)
@@ -151,20 +151,20 @@ impl Group {
     fn those(
         limits: &Limits,
         wanted: impl Fn(Element) -> bool,
-        on_units: impl Fn(&dyn Operation, Element) -> bool,
+        on_units: impl Fn(&Operation, Element) -> bool,
     ) -> Vec<Self> {
         let mut groups = Vec::new();
-        for operation in OPERATIONS.into_iter().filter(|_| limits.half_storage) {
+        for operation in OPERATIONS.iter().filter(|_| limits.half_storage) {
             let lanes =
-                operation.lanes().iter().copied().filter(|element| on_lanes(limits, *element) && wanted(*element));
+                operation.lanes.iter().copied().filter(|element| on_lanes(limits, *element) && wanted(*element));
             for element in lanes {
                 let (kernels, candidates) =
-                    (operation.kernels(false, element), vec![Candidate::Lanes(Lanes::of(element), None)]);
+                    ((operation.kernels)(false, element), vec![Candidate::Lanes(Lanes::of(element), None)]);
                 groups.push(Self { operation, kernels, candidates });
             }
             for (units, candidates) in operation.on_units(limits) {
                 if on_units(operation, units.factor) {
-                    groups.push(Self { operation, kernels: operation.kernels(true, units.factor), candidates });
+                    groups.push(Self { operation, kernels: (operation.kernels)(true, units.factor), candidates });
                 }
             }
         }

@@ -34,8 +34,8 @@ const REPEATS: usize = 5;
 const WAKING: Duration = Duration::from_millis(100);
 
 impl Measured {
-    fn is_of(&self, operation: &dyn Operation, factor: Element) -> bool {
-        self.kernel == operation.name() && self.factor == factor
+    fn is_of(&self, operation: &Operation, factor: Element) -> bool {
+        self.kernel == operation.name && self.factor == factor
     }
 
     pub fn best(&self) -> Option<&str> {
@@ -63,7 +63,7 @@ impl Tuning {
     /// [`Error::DeviceLost`], which marks the tile unusable; [`Error::Cancelled`].
     pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let mut tiles = Vec::new();
-        for operation in OPERATIONS {
+        for operation in &OPERATIONS {
             let on_units = operation.on_units(device.limits()).into_iter().flat_map(|(_, candidates)| candidates);
             let candidates = on_units.chain(operation.on_lanes(device.limits()));
             tiles.extend(candidates.map(|candidate| Timed { operation, candidate, name: candidate.tile() }));
@@ -95,7 +95,7 @@ impl Tuning {
         let (operation, factor) = (tile.operation, tile.candidate.factor());
         let is_it = |m: &Measured| m.is_of(operation, factor) && m.values == values;
         let at = self.measured.iter().position(is_it).unwrap_or_else(|| {
-            self.measured.push(Measured { kernel: operation.name().into(), factor, values, tiles: Vec::new() });
+            self.measured.push(Measured { kernel: operation.name.into(), factor, values, tiles: Vec::new() });
             self.measured.len() - 1
         });
         let tiles = &mut self.measured[at].tiles;
@@ -106,20 +106,20 @@ impl Tuning {
     }
 
     pub fn applied(&self, mut arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
-        for operation in OPERATIONS {
-            for units in operation.chosen(&mut arithmetic).into_iter().flatten() {
-                let candidates = operation.tiles(limits, *units).iter().map(ToString::to_string).collect();
+        for operation in &OPERATIONS {
+            for units in (operation.chosen)(&mut arithmetic).into_iter().flatten() {
+                let candidates = (operation.tiles)(limits, *units).iter().map(ToString::to_string).collect();
                 units.tiles = self.fastest(operation, units.factor, candidates);
             }
-            for (factor, tiles) in operation.chosen_on_lanes(&mut arithmetic) {
-                let candidates = operation.lane_tiles(limits, factor).iter().map(ToString::to_string).collect();
+            for (factor, tiles) in (operation.chosen_on_lanes)(&mut arithmetic) {
+                let candidates = (operation.lane_tiles)(limits, factor).iter().map(ToString::to_string).collect();
                 *tiles = self.fastest(operation, factor, candidates);
             }
         }
         arithmetic
     }
 
-    fn fastest(&self, operation: &dyn Operation, factor: Element, candidates: Vec<String>) -> Tiles {
+    fn fastest(&self, operation: &Operation, factor: Element, candidates: Vec<String>) -> Tiles {
         let mut tiles = Tiles::default();
         for class in 0..Tiles::CLASSES {
             let is_it = |m: &&Measured| m.is_of(operation, factor) && m.values == Tiles::values(class);
@@ -133,29 +133,29 @@ impl Tuning {
 }
 
 struct Timed {
-    operation: &'static dyn Operation,
+    operation: &'static Operation,
     candidate: Candidate,
     name: String,
 }
 
 impl Timed {
     fn full_name(&self) -> String {
-        format!("{} {} {}", self.operation.name(), self.candidate.factor().name(), self.name)
+        format!("{} {} {}", self.operation.name, self.candidate.factor().name(), self.name)
     }
 
     /// Times by size; `None` for wrong lane tiles.
     fn times(&self, device: &Device) -> Result<Option<Vec<(usize, f64)>>> {
         let (operation, candidate) = (self.operation, self.candidate);
         if let Candidate::Lanes(lanes, Some(_)) = candidate {
-            for (_, output) in operation.kernels(false, lanes.element) {
-                if operation.deviation(device, candidate, output)?.is_none_or(|deviation| deviation > 1.0) {
+            for (_, output) in (operation.kernels)(false, lanes.element) {
+                if (operation.deviation)(device, candidate, output)?.is_none_or(|deviation| deviation > 1.0) {
                     return Ok(None);
                 }
             }
         }
         let mut times = Vec::new();
         for values in (0..Tiles::CLASSES).map(Tiles::values) {
-            let run = operation.timed(device, candidate, values / COLUMNS);
+            let run = (operation.timed)(device, candidate, values / COLUMNS);
             let ms = match run.and_then(|run| median(device, operation, run)) {
                 Err(Error::Memory { .. }) if !times.is_empty() => break,
                 ms => ms?,
@@ -170,10 +170,10 @@ impl Timed {
 }
 
 /// Median milliseconds, after a warm-up against lowered GPU clocks.
-fn median(device: &Device, operation: &dyn Operation, mut run: Run) -> Result<f64> {
+fn median(device: &Device, operation: &Operation, mut run: Run) -> Result<f64> {
     let mut once = || -> Result<f64> {
         let profile = run.profile()?;
-        let kernels = profile.rows.iter().filter(|row| row.kernel.contains(operation.name()));
+        let kernels = profile.rows.iter().filter(|row| row.kernel.contains(operation.name));
         Ok(kernels.map(|row| 1e3 * row.time.as_secs_f64()).sum())
     };
     let started = Instant::now();
