@@ -1,6 +1,5 @@
 use super::{
     DepthNetwork, DepthShape, DepthTensors,
-    network::DepthInputs,
     output::{DepthPrediction, read},
 };
 use crate::{
@@ -8,7 +7,7 @@ use crate::{
     features::PixelValues,
     gpu::{Arena, Device, Plan, Progress, Recorder, Run},
     ops::{Arithmetic, Parameters, Rows},
-    reconstruct::{Ratio, TokenSelection, check_cameras, planar, size_of},
+    reconstruct::{Inputs, Ratio, TokenSelection, check_cameras, planar, size_of},
     stages::{DepthArchitecture, Family},
     tune::KernelChoice,
     types::{Camera, Image},
@@ -182,7 +181,7 @@ impl DepthModel {
     fn write_photos(
         &self,
         run: &mut Run,
-        inputs: &DepthInputs,
+        inputs: &Inputs,
         shape: DepthShape,
         images: &[Image],
         options: &DepthOptions,

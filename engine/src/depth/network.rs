@@ -1,8 +1,8 @@
 use crate::{
     Error, Result,
-    gpu::{Limits, Plan, Recorder, Tensor},
+    gpu::{Limits, Plan, Recorder},
     ops::{Arithmetic, ParameterLayout, Rows},
-    reconstruct::{Ratio, SelectedTokens, TokenSampling, TokenSelection, grid, no_camera_encoder},
+    reconstruct::{Inputs, Ratio, SelectedTokens, TokenSampling, TokenSelection, grid, no_camera_encoder},
     stages::{DepthArchitecture, DepthFeatures, DepthStages, Reference, ViewGrid, heads::HeadTensors},
 };
 
@@ -30,15 +30,9 @@ pub struct DepthShape {
     pub keeps_features: bool,
 }
 
-pub(super) struct DepthInputs {
-    /// `[views, 3, height, width]` f32.
-    pub images: Tensor,
-    pub backbone: Vec<Tensor>,
-}
-
 /// Inputs and outputs.
 pub struct DepthTensors {
-    pub(super) inputs: DepthInputs,
+    pub(super) inputs: Inputs,
     pub(super) heads: HeadTensors,
     pub(super) selected: SelectedTokens,
     pub(super) features: Option<Rows>,
@@ -95,13 +89,13 @@ impl DepthNetwork {
         DepthTensors { inputs, heads, selected, features }
     }
 
-    pub(super) fn record_features(&self, rec: &mut Recorder, shape: DepthShape) -> (DepthInputs, DepthFeatures) {
+    pub(super) fn record_features(&self, rec: &mut Recorder, shape: DepthShape) -> (Inputs, DepthFeatures) {
         let DepthShape { grid, cameras, reference, .. } = shape;
         let images = rec.input::<f32>("images", grid.values());
         let backbone = self.stages.backbone.inputs(rec, grid, cameras);
         let features =
             rec.scope("backbone", |rec| self.stages.backbone.record(rec, images, &backbone, grid, reference));
-        (DepthInputs { images, backbone }, features)
+        (Inputs { images, backbone }, features)
     }
 
     /// Plans without a device.

@@ -10,6 +10,14 @@ const SIGMA: f64 = 0.6;
 const OPACITY: f32 = 0.95;
 const FAINT: f32 = 0.05;
 
+/// Returns the world point of pixel `at` of rows of `width` pixels.
+pub(super) fn pixel_point(camera: &Camera, at: usize, width: usize, depth: f64) -> [f32; 3] {
+    let lens = camera.intrinsics;
+    let (x, y) = ((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
+    let ray = DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0);
+    camera.pose.transform(ray * depth).as_vec3().to_array()
+}
+
 /// Adds an isotropic Gaussian per pixel of positive depth.
 pub fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]) {
     let shown = depth.iter().enumerate().filter(|(_, depth)| **depth > 0.0);
@@ -17,11 +25,9 @@ pub fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]
 }
 
 fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (depth, opacity): (f32, f32)) {
-    let (lens, z, width) = (camera.intrinsics, f64::from(depth), image.width as usize);
-    let (x, y) = ((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
-    let point = camera.pose.transform(DVec3::new((x - lens.cx) / lens.fx * z, (y - lens.cy) / lens.fy * z, z));
-    scene.means.push(point.as_vec3().to_array());
-    scene.scales.push([(SIGMA * z / lens.fx) as f32; 3]);
+    let z = f64::from(depth);
+    scene.means.push(pixel_point(camera, at, image.width as usize, z));
+    scene.scales.push([(SIGMA * z / camera.intrinsics.fx) as f32; 3]);
     scene.quats.push([1.0, 0.0, 0.0, 0.0]);
     scene.opacities.push(opacity);
     let rgb: [u8; 3] = std::array::from_fn(|c| image.rgb[3 * at + c]);

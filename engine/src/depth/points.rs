@@ -1,6 +1,5 @@
-use super::{DepthMap, DepthPrediction};
+use super::{DepthMap, DepthPrediction, pixels::pixel_point};
 use crate::types::{Camera, Image};
-use glam::DVec3;
 
 /// Clamped to quantiles so that some but not all pixels pass.
 const CONFIDENT: f32 = 1.05;
@@ -18,10 +17,8 @@ impl DepthPrediction {
         }
         let step = kept.len().div_ceil(most.max(1)).max(1);
         let point = |&(view, i): &(usize, usize)| {
-            let (Camera { intrinsics: lens, pose }, width) = (&cameras[view], self.width as usize);
-            let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-            let ray = DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0);
-            let of_depth = || pose.transform(ray * f64::from(self.views[view].depth[i])).as_vec3().to_array();
+            let depth = f64::from(self.views[view].depth[i]);
+            let of_depth = || pixel_point(&cameras[view], i, self.width as usize, depth);
             let at = self.views[view].points.as_ref().map_or_else(of_depth, |points| [0, 1, 2].map(|c| points[i][c]));
             (at, std::array::from_fn(|c| images[view].rgb[3 * i + c]))
         };

@@ -47,7 +47,7 @@ impl LiftMemory {
             let mut layout = ResidentLayout::new(limits);
             let part = PartTensors::lay_out(&mut layout, rows, &[vectors]);
             let arena = |camera: &Camera| {
-                let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
+                let shape = FrameShape::of(camera);
                 let mut rec = Recorder::new(limits);
                 let job = Job { vectors, cells: Some(lifted_cells(cells, camera)), ..job(scene, group) };
                 let capacity = planned_capacity(limits.max_binding_bytes, first_capacity, shape, true);

@@ -243,7 +243,7 @@ impl FeatureRenderer {
         values: Option<&[f32]>,
         read: impl FnOnce(&Run, &[Tensor]) -> Result<()>,
     ) -> Result<()> {
-        let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
+        let shape = FrameShape::of(camera);
         let key = PlanKey { shape, backward: job.cells.is_some(), options: job };
         let record = |capacity| FeaturePlan::new(&self.arena, scene, shape, job, part, capacity);
         let plan = self.plans.run(key, record, |plan| {

@@ -9,6 +9,29 @@ use crate::{
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
+/// Sets the fields common to attention kernels.
+macro_rules! attention_kernel {
+    ($kernel:ident, $attention:ident, $limits:expr, $tensors:ident, $out:ident, { $($own:tt)* }) => {{
+        let [q, k, v, log_counts] = $tensors;
+        ops::$kernel {
+            q,
+            k,
+            v,
+            log_counts,
+            out: $out,
+            queries: $attention.queries as u32,
+            keys: $attention.keys as u32,
+            sequences: $attention.sequences as u32,
+            heads: $attention.heads.count as u32,
+            common_keys: $attention.common_keys as u32,
+            own_first: $attention.own_first($limits) as u32,
+            dim: $attention.heads.dim as u32,
+            pooled: $attention.common_keys > 0,
+            $($own)*
+        }
+    }};
+}
+
 #[derive(Clone, Copy, Debug)]
 pub struct Heads {
     pub count: usize,
@@ -150,72 +173,33 @@ impl Attention {
             && self.queries.div_ceil(queries) <= limits.max_groups[0] as usize
     }
 
-    fn uniform(&self, rec: &mut Recorder, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
-        let (dim, [tile_rows, key_vectors]) = (self.heads.dim as u32, attention_tile(rec.limits()));
-        let kernel = ops::AttentionUniform {
-            q,
-            k,
-            v,
-            log_counts,
-            out,
-            queries: self.queries as u32,
-            keys: self.keys as u32,
-            sequences: self.sequences as u32,
-            heads: self.heads.count as u32,
-            common_keys: self.common_keys as u32,
-            own_first: self.own_first(rec.limits()) as u32,
-            dim,
-            vectors: dim / rec.limits().subgroup_size,
+    fn uniform(&self, rec: &mut Recorder, tensors: [Tensor; 4], out: Tensor) {
+        let [tile_rows, key_vectors] = attention_tile(rec.limits());
+        let kernel = attention_kernel!(AttentionUniform, self, rec.limits(), tensors, out, {
+            vectors: self.heads.dim as u32 / rec.limits().subgroup_size,
             terms: terms_of(self.heads.dim).min(16),
             tile_rows,
             key_vectors,
-            pooled: self.common_keys > 0,
-        };
+        });
         self.dispatch(rec, kernel, tile_rows as usize);
     }
 
-    fn lanes(&self, rec: &mut Recorder, element: Element, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
-        let Heads { count, dim } = self.heads;
-        let channels_at_once = 4 * rec.limits().subgroup_size;
-        let kernel = ops::Attention {
-            q,
-            k,
-            v,
-            log_counts,
-            out,
-            queries: self.queries as u32,
-            keys: self.keys as u32,
-            sequences: self.sequences as u32,
-            heads: count as u32,
-            common_keys: self.common_keys as u32,
-            own_first: self.own_first(rec.limits()) as u32,
-            dim: dim as u32,
-            vectors: (dim as u32).div_ceil(channels_at_once),
-            parts: 1 << (channels_at_once / dim as u32).max(1).ilog2(),
-            pooled: self.common_keys > 0,
+    fn lanes(&self, rec: &mut Recorder, element: Element, tensors: [Tensor; 4], out: Tensor) {
+        let (dim, channels_at_once) = (self.heads.dim as u32, 4 * rec.limits().subgroup_size);
+        let kernel = attention_kernel!(Attention, self, rec.limits(), tensors, out, {
+            vectors: dim.div_ceil(channels_at_once),
+            parts: 1 << (channels_at_once / dim).max(1).ilog2(),
             element,
-        };
+        });
         self.dispatch(rec, kernel, ATTENTION_ROWS as usize);
     }
 
-    fn matrix(&self, rec: &mut Recorder, units: Units, [q, k, v, log_counts]: [Tensor; 4], out: Tensor) {
+    fn matrix(&self, rec: &mut Recorder, units: Units, tensors: [Tensor; 4], out: Tensor) {
         let tile = self.tile(rec.limits(), units);
         let Units { factor, shape, .. } = units;
         macro_rules! dispatch {
             ($kernel:ident) => {{
-                let kernel = ops::$kernel {
-                    q,
-                    k,
-                    v,
-                    log_counts,
-                    out,
-                    queries: self.queries as u32,
-                    keys: self.keys as u32,
-                    sequences: self.sequences as u32,
-                    heads: self.heads.count as u32,
-                    common_keys: self.common_keys as u32,
-                    own_first: self.own_first(rec.limits()) as u32,
-                    dim: self.heads.dim as u32,
+                let kernel = attention_kernel!($kernel, self, rec.limits(), tensors, out, {
                     subgroups: tile.subgroups[0],
                     matrix_m: shape.m,
                     matrix_n: shape.n,
@@ -223,10 +207,9 @@ impl Attention {
                     repeat_m: tile.repeats[0],
                     tile: tile.k,
                     channels: self.channels() as u32,
-                    pooled: self.common_keys > 0,
                     cpu: rec.limits().cpu,
                     factor,
-                };
+                });
                 self.dispatch(rec, kernel, tile.sides(units)[0]);
             }};
         }

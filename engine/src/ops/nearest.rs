@@ -26,14 +26,9 @@ pub enum NearestKernel {
 /// Search by squared Euclidean distance.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest {
-    space: Space,
+    /// Matrix units and the origin, unless on lanes.
+    matrix: Option<(Units, Tensor)>,
     width: usize,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Space {
-    Lanes,
-    Matrix { units: Units, origin: Tensor },
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +48,7 @@ impl Nearest {
     /// The origin is the mean of `sample`, whose width is a multiple of 4.
     pub fn among(rec: &mut Recorder, kernel: NearestKernel, sample: Rows) -> Self {
         let Rows { tensor: source, count, width, .. } = sample;
-        let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
+        let NearestKernel::Matrix(units) = kernel else { return Self { matrix: None, width } };
         let origin = rec.tensor::<f32>("origin", width);
         let kernel = kernels::Origin {
             source,
@@ -68,19 +63,16 @@ impl Nearest {
 
     /// `origin` is `[width]` f32; errors grow with distance from it.
     pub fn about(origin: Tensor, units: Units, width: usize) -> Self {
-        Self { space: Space::Matrix { units, origin }, width }
+        Self { matrix: Some((units, origin)), width }
     }
 
     /// Origin `[width]` f32, if used.
     pub fn origin(&self) -> Option<Tensor> {
-        match self.space {
-            Space::Lanes => None,
-            Space::Matrix { origin, .. } => Some(origin),
-        }
+        self.matrix.map(|(_, origin)| origin)
     }
 
     pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
-        let Space::Matrix { origin, .. } = self.space else {
+        let Some((_, origin)) = self.matrix else {
             let values = if divides_panels(rec.limits()) { self.panels(rec, rows, count) } else { rows };
             return NearestRows { rows, values, scales: rows, norms: rows, count };
         };
@@ -107,10 +99,10 @@ impl Nearest {
     }
 
     pub fn record_into(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
-        match self.space {
-            Space::Lanes if divides_panels(rec.limits()) => self.uniform(rec, points, targets, out),
-            Space::Lanes => self.lanes(rec, points, targets, out),
-            Space::Matrix { units, .. } => self.matrix(rec, units, points, targets, out),
+        match self.matrix {
+            None if divides_panels(rec.limits()) => self.uniform(rec, points, targets, out),
+            None => self.lanes(rec, points, targets, out),
+            Some((units, _)) => self.matrix(rec, units, points, targets, out),
         }
     }
 

@@ -11,6 +11,7 @@ mod token_selection;
 pub use crate::ops::KvPool;
 pub use blocks::{Block, BlockLayout, BlockOptions, Seam};
 pub use features::{BackboneFeatures, SceneTokens};
+pub(crate) use network::Inputs;
 pub use network::{Network, NetworkPlan, Tensors};
 pub use options::{MAX_PATCHES, MAX_PHOTOS, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape};
 pub(crate) use options::{check_cameras, grid, no_camera_encoder, size_of};
@@ -29,7 +30,7 @@ use crate::{
     types::{Camera, Image, Scene, SkippedPass, near},
     weights::{Architecture, Checkpoint},
 };
-use network::{Choice, Inputs};
+use network::Choice;
 use patches::{all_masked, masked_patches};
 use std::{ops::ControlFlow, sync::Mutex};
 

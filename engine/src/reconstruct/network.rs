@@ -24,8 +24,8 @@ pub struct Tensors {
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Inputs {
-    /// `[views, 3, height, width]` f32, RGB in 0..1.
+pub(crate) struct Inputs {
+    /// `[views, 3, height, width]` f32: RGB in 0..1, or normalized for depth networks.
     pub images: Tensor,
     pub backbone: Vec<Tensor>,
 }

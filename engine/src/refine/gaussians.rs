@@ -35,8 +35,6 @@ const MAX_BATCH_PIXELS: usize = 1 << 20;
 /// Cached plans: a few sizes, with and without masks, and last batches.
 const PLANS: usize = 12;
 
-const FIELDS: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
-
 struct Field {
     values: Tensor,
     gradient: Tensor,
@@ -77,22 +75,23 @@ pub(super) struct Gaussians {
 impl Gaussians {
     pub fn new(arena: &Arena, scene: &Scene, scene_distance: f64, options: &RefineOptions) -> Result<Self> {
         let (device, len) = (arena.device(), scene.len());
-        let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
+        let widths = SceneTensors::widths(scene.sh_degree);
         let mut layout = ResidentLayout::new(device.limits());
-        let [values, gradients, first, second] = [(); 4].map(|()| counts.map(|count| layout.add::<f32>(count)));
+        let lay_out = |()| SceneTensors::lay_out(&mut layout, len, scene.sh_degree);
+        let tensors @ [values, ..] = [(); 4].map(lay_out);
+        let [_, gradients, first, second] = tensors.map(|tensors| tensors.all());
         let memory = Arc::new(Resident::new(device, &layout)?);
         let LearningRates { means, scales, quats, opacities, sh_coeffs, sh_higher, .. } = options.learning_rates;
-        let width = 3 * scene.sh_coeffs_per_gaussian() as u32;
-        let harmonics = Rate { first: sh_coeffs, others: sh_higher, width };
+        let harmonics = Rate { first: sh_coeffs, others: sh_higher, width: widths[4] as u32 };
         let rates = [(means * scene_distance as f32).into(), scales.into(), quats.into(), opacities.into(), harmonics];
         let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
         let eps = [MEANS_EPS / scene_distance as f32, EPS, EPS, EPS, EPS];
         let penalties = [0.0, options.scale_penalty / (3.0 * scene_distance as f32), 0.0, options.opacity_penalty, 0.0];
         let field = |i: usize| Field {
-            values: values[i],
+            values: values.all()[i],
             gradient: gradients[i],
             moments: [first[i], second[i]],
-            len: counts[i],
+            len: widths[i] * len,
             rate: rates[i],
             space: spaces[i],
             eps: eps[i] / len as f32,
@@ -100,12 +99,11 @@ impl Gaussians {
         };
         let fields = [0, 1, 2, 3, 4].map(field);
         let update = update(arena, &memory, &fields)?;
-        let tensors = SceneTensors::of(values, len, scene.sh_degree);
-        tensors.write(&memory, &bounded(scene.clone()))?;
+        values.write(&memory, &bounded(scene.clone()))?;
         let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
         filling(arena, &memory, zero)?.execute()?;
         let begin = [0, 1, 2, 3, 4].map(|i| (fields[i].gradient, fields[i].penalty));
-        let gaussians = Self::of(arena, options, vec![memory], tensors, begin, update)?;
+        let gaussians = Self::of(arena, options, vec![memory], values, begin, update)?;
         Ok(Self { fields: fields.into(), ..gaussians })
     }
 
@@ -198,7 +196,8 @@ impl Gaussians {
         let mut steps = self.steps as usize;
         state.count("steps", &mut steps)?;
         self.steps = steps as u32;
-        let fields = FIELDS.into_iter().zip(self.fields.iter().map(|f| [f.values, f.moments[0], f.moments[1]]));
+        let fields =
+            SceneTensors::NAMES.into_iter().zip(self.fields.iter().map(|f| [f.values, f.moments[0], f.moments[1]]));
         for (name, tensors) in fields.chain(self.tokens.iter().map(|(tensors, _)| ("tokens", *tensors))) {
             for (tensor, end) in tensors.into_iter().zip(["", ".first", ".second"]) {
                 state.tensor(&format!("{name}{end}"), &self.memories[0], tensor)?;

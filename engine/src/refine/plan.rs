@@ -70,19 +70,17 @@ pub fn plan_refinement(
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
     };
     let mut layout = ResidentLayout::new(limits);
-    let counts = [3, 3, 4, 1, 3 * (sh_degree as usize + 1).pow(2)].map(|width| width * len);
-    let [values, gradients] = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
-    let [scene, d_scene] = [values, gradients].map(|tensors| SceneTensors::of(tensors, len, sh_degree));
+    let [scene, d_scene] = [(); 2].map(|()| SceneTensors::lay_out(&mut layout, len, sh_degree));
     let mut plans = Vec::new();
     let mut kept_bytes = 0;
     match moved {
         Moved::Gaussians(..) => {
-            let moments = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
+            let moments = [(); 2].map(|()| SceneTensors::lay_out(&mut layout, len, sh_degree).all());
             let mut rec = Recorder::new(limits);
             let schedule = rec.input::<f32>("schedule", 4);
-            for i in 0..counts.len() {
+            for (i, width) in SceneTensors::widths(sh_degree).into_iter().enumerate() {
                 let moments = [moments[0][i], moments[1][i]];
-                adam(&mut rec, values[i], gradients[i], moments, schedule, counts[i]);
+                adam(&mut rec, scene.all()[i], d_scene.all()[i], moments, schedule, width * len);
             }
             plans.push(rec.finish()?);
         }

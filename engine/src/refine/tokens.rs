@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     Error, Result,
-    gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run},
     ops::ParameterLayout,
     reconstruct::SceneTokens,
     stages::{SceneTensors, gaussians::Head},
@@ -54,16 +54,14 @@ pub(super) fn gaussians(
         return Err(Error::argument("width of the tokens", tokens.width(), format!("{width}, as the head's")));
     }
     let (len, sh_degree) = (count * a.gaussians_per_token, a.sh_degree as u32);
-    let counts = [3, 3, 4, 1, 3 * (sh_degree as usize + 1).pow(2)].map(|width| width * len);
     let mut layout = ResidentLayout::new(device.limits());
-    let [values, gradients] = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
+    let [scene, d_scene] = [(); 2].map(|()| SceneTensors::lay_out(&mut layout, len, sh_degree));
     let [moved, first, second] = [(); 3].map(|()| layout.add::<f32>(count * width));
     let scene_scale = layout.add::<f32>(1);
     let kept = head.keep(&mut layout, count, scene_scale);
     let memory = Arc::new(Resident::new(device, &layout)?);
     memory.write(scene_scale, &[tokens.scene_scale() as f32])?;
     filling(arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
-    let [scene, d_scene] = [values, gradients].map(|tensors| SceneTensors::of(tensors, len, sh_degree));
 
     // Once: the Gaussians of a copy of the tokens.
     let mut rec = Recorder::new(device.limits());
@@ -83,7 +81,8 @@ pub(super) fn gaussians(
         record_adam(rec, ADAM, moved, d_tokens, [first, second], schedule, rate, Space::Linear, len);
     });
     head.record_kept(&mut rec, moved, &kept, &scene);
-    let gradients = begin(gradients, len, options);
+    let mut gradients = d_scene.all().map(|gradient| (gradient, 0.0));
+    gradients[3].1 = options.opacity_penalty / len as f32;
     record_fills(&mut rec, gradients.into_iter());
     let memories = vec![memory, weights.clone()];
     let update = (Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
@@ -92,10 +91,4 @@ pub(super) fn gaussians(
     gaussians.tokens = Some(([moved, first, second], forward));
     let scene = gaussians.scene()?;
     Ok((gaussians, scene))
-}
-
-fn begin(gradients: [Tensor; 5], len: usize, options: &RefineOptions) -> [(Tensor, f32); 5] {
-    let mut begin = gradients.map(|gradient| (gradient, 0.0));
-    begin[3].1 = options.opacity_penalty / len as f32;
-    begin
 }

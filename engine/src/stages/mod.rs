@@ -25,6 +25,7 @@ use backbone::{DepthBackbone, TokenBackbone};
 use fuse::Fuse;
 use gaussians::Gaussians;
 use heads::DepthHeads;
+use std::ops::Range;
 
 pub struct Stages {
     pub backbone: TokenBackbone,
@@ -125,18 +126,18 @@ pub struct SceneTensors {
 }
 
 impl SceneTensors {
+    pub const NAMES: [&str; 5] = ["means", "scales", "quats", "opacities", "sh_coeffs"];
+
+    /// Values per Gaussian of each tensor.
+    pub fn widths(sh_degree: u32) -> [usize; 5] {
+        [3, 3, 4, 1, 3 * coeffs_of(sh_degree)]
+    }
+
     pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
-        let tensors = Self {
-            means: rec.tensor::<[f32; 3]>("means", len),
-            scales: rec.tensor::<[f32; 3]>("scales", len),
-            quats: rec.tensor::<[f32; 4]>("quats", len),
-            opacities: rec.tensor::<f32>("opacities", len),
-            sh_coeffs: rec.tensor::<[f32; 3]>("sh_coeffs", len * coeffs_of(sh_degree)),
-            len,
-            sh_degree,
-        };
-        tensors.all().into_iter().for_each(|tensor| rec.output(tensor));
-        tensors
+        let widths = Self::widths(sh_degree);
+        let tensors = std::array::from_fn(|i| rec.tensor::<f32>(Self::NAMES[i], widths[i] * len));
+        tensors.into_iter().for_each(|tensor| rec.output(tensor));
+        Self::of(tensors, len, sh_degree)
     }
 
     pub fn of([means, scales, quats, opacities, sh_coeffs]: [Tensor; 5], len: usize, sh_degree: u32) -> Self {
@@ -148,15 +149,14 @@ impl SceneTensors {
     }
 
     pub fn lay_out(layout: &mut ResidentLayout, len: usize, sh_degree: u32) -> Self {
-        Self {
-            means: layout.add::<[f32; 3]>(len),
-            scales: layout.add::<[f32; 3]>(len),
-            quats: layout.add::<[f32; 4]>(len),
-            opacities: layout.add::<f32>(len),
-            sh_coeffs: layout.add::<[f32; 3]>(len * coeffs_of(sh_degree)),
-            len,
-            sh_degree,
-        }
+        Self::of(Self::widths(sh_degree).map(|width| layout.add::<f32>(width * len)), len, sh_degree)
+    }
+
+    /// Returns consecutive Gaussians, whose tensors must be slice-aligned.
+    pub fn part(&self, gaussians: Range<usize>) -> Self {
+        let (widths, all, len) = (Self::widths(self.sh_degree), self.all(), gaussians.len());
+        let part = |i: usize| all[i].slice::<f32>(widths[i] * gaussians.start, widths[i] * len);
+        Self::of(std::array::from_fn(part), len, self.sh_degree)
     }
 
     pub fn write(&self, memory: &Resident, scene: &Scene) -> Result<()> {

@@ -83,8 +83,7 @@ impl DepthCheckpoint {
     /// such a head.
     pub fn open(path: impl AsRef<Path>, heads: DepthHeads) -> Result<Self> {
         let path = path.as_ref();
-        let file = Bytes::open(path)?;
-        let contents = contents(path, &file)?;
+        let (file, contents) = opened(path)?;
         let known = match &contents.depth_architecture {
             Some(stated) => stated.clone(),
             None => inferred(&contents, path)?,
@@ -95,8 +94,7 @@ impl DepthCheckpoint {
 
     pub fn open_architecture(path: impl AsRef<Path>, architecture: DepthArchitecture) -> Result<Self> {
         let path = path.as_ref();
-        let file = Bytes::open(path)?;
-        let contents = contents(path, &file)?;
+        let (file, contents) = opened(path)?;
         Self::of(path, file, contents, architecture)
     }
 
@@ -143,14 +141,15 @@ fn names(path: &Path) -> Result<Vec<String>> {
     Ok(safetensors::contents(path, &file)?.tensors.into_keys().collect())
 }
 
-fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
-    let mut found = Contents::of(path, file)?;
+fn opened(path: &Path) -> Result<(Bytes, Contents)> {
+    let file = Bytes::open(path)?;
+    let mut found = Contents::of(path, &file)?;
     if found.tensors.keys().any(|name| name.starts_with(NESTED)) {
         let all = std::mem::take(&mut found.tensors).into_iter();
         let own = all.filter_map(|(name, tensor)| Some((format!("model.{}", name.strip_prefix(NESTED)?), tensor)));
         found.tensors = own.collect();
     }
-    Ok(found)
+    Ok((file, found))
 }
 
 fn with_heads(known: DepthArchitecture, DepthHeads { gaussians, points }: DepthHeads) -> Result<DepthArchitecture> {

@@ -4,7 +4,7 @@ use super::{
         tile::Tiles,
         uniform::{UNIFORM_TILE, divides_panels, terms_of},
     },
-    Epilogue, Linear, Weights,
+    Epilogue, Linear,
 };
 use crate::{
     gpu::{Element, Limits, Recorder},
@@ -129,12 +129,7 @@ impl Linear {
     fn uniform(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
         let (rows, [tile_rows, vectors]) = (input.count, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
-        let [weight, integers, scales] = self.weights();
-        let kernel = linear_kernel!(LinearUniform, self, input, out, epilogue, {
-            weight,
-            integers,
-            scales,
-            q8: self.kernel.weights() == Weights::Q8,
+        let kernel = linear_kernel!(weights LinearUniform, self, input, out, epilogue, {
             terms: terms_of(self.inner),
             tile_rows,
             vectors,
@@ -145,12 +140,7 @@ impl Linear {
 
     fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
         let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
-        let [weight, integers, scales] = self.weights();
-        let kernel = linear_kernel!(Linear, self, input, out, epilogue, {
-            weight,
-            integers,
-            scales,
-            q8: self.kernel.weights() == Weights::Q8,
+        let kernel = linear_kernel!(weights Linear, self, input, out, epilogue, {
             share: split_k as u32,
             split: split_k < self.inner,
             input: input.element,
@@ -162,14 +152,9 @@ impl Linear {
     }
 
     fn tiled(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
-        let [weight, integers, scales] = self.weights();
         let rows = input.count;
-        let kernel = linear_kernel!(LinearTiled, self, input, out, epilogue, {
-            weight,
-            integers,
-            scales,
+        let kernel = linear_kernel!(weights LinearTiled, self, input, out, epilogue, {
             share: split_k as u32,
-            q8: self.kernel.weights() == Weights::Q8,
             subgroups: tile.lanes() / rec.limits().subgroup_size,
             tile_columns: tile.sides[1],
             lane_rows: tile.lane[0],

@@ -1,4 +1,4 @@
-/// Sets the fields common to linear kernels.
+/// Sets the fields common to linear kernels, with those of `weights` in any format.
 macro_rules! linear_kernel {
     ($kernel:ident, $linear:ident, $input:ident, $out:ident, $epilogue:ident, { $($own:tt)* }) => {
         ops::$kernel {
@@ -16,6 +16,16 @@ macro_rules! linear_kernel {
             $($own)*
         }
     };
+    (weights $kernel:ident, $linear:ident, $input:ident, $out:ident, $epilogue:ident, { $($own:tt)* }) => {{
+        let [weight, integers, scales] = $linear.weights();
+        linear_kernel!($kernel, $linear, $input, $out, $epilogue, {
+            weight,
+            integers,
+            scales,
+            q8: $linear.kernel.weights() == $crate::ops::Weights::Q8,
+            $($own)*
+        })
+    }};
 }
 
 mod dots;
@@ -241,13 +251,9 @@ impl Linear {
             Element::I8 => self.quantized(rec, input),
             _ => (input, self.bias, self.bias),
         };
-        let [weight, integers, scales] = self.weights();
-        let kernel = linear_kernel!(LinearMatrix, self, a, out, epilogue, {
-            weight,
+        let kernel = linear_kernel!(weights LinearMatrix, self, a, out, epilogue, {
             row_scales,
             column_scales,
-            integers,
-            scales,
             subgroups: tile.all_subgroups(),
             subgroups_n: tile.subgroups[1],
             matrix_m: shape.m,
@@ -256,7 +262,6 @@ impl Linear {
             repeat_m: tile.repeats[0],
             repeat_n: tile.repeats[1],
             tile_k: tile.k,
-            q8: self.kernel.weights() == Weights::Q8,
             share: split_k as u32,
             split: split_k < inner,
             whole: inner.is_multiple_of(tile.k as usize),

@@ -12,7 +12,6 @@ pub struct Head {
     layers: [Linear; 3],
     transposed: [Linear; 3],
     gaussians_per_token: usize,
-    sh_degree: usize,
 }
 
 /// Activations kept for the backward pass.
@@ -41,7 +40,6 @@ impl Head {
             layers: layers(a).map(|(name, inner, columns)| p.exact_linear(&name, inner, columns)),
             transposed: layers(a).map(|(name, inner, columns)| p.transposed_linear(&name, inner, columns)),
             gaussians_per_token: a.gaussians_per_token,
-            sh_degree: a.sh_degree,
         }
     }
 
@@ -93,31 +91,30 @@ impl Head {
     }
 
     fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneTensors, stride: usize) -> Rows {
-        let bases = (self.sh_degree + 1).pow(2);
-        let (group, width) = (self.gaussians_per_token, 11 + 3 * bases);
+        let (group, widths) = (self.gaussians_per_token, SceneTensors::widths(d.sh_degree));
+        let width = widths.iter().sum::<usize>();
         let d_raw = Rows::scratch(rec, "d_raw", kept.raw.count, stride, Element::F32);
         if stride > group * width {
             rec.fill(d_raw.tensor, 0); // padding is multiplied by zeros and must be finite
         }
-        let widths = [width, 3, 4, 1, 3 * bases].map(|width| 4 * group * width);
-        let chunks = row_chunks(rec, d_raw.count, &[&widths[..], &[d_raw.row_bytes()]].concat());
-        for part in chunks {
-            let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
+        let bytes: Vec<usize> = widths.into_iter().chain([width]).map(|width| 4 * group * width).collect();
+        for part in row_chunks(rec, d_raw.count, &[&bytes[..], &[d_raw.row_bytes()]].concat()) {
+            let d = d.part(part.start * group..part.end * group);
             let kernel = kernels::ActivateBackward {
                 raw: kept.raw.part(part.clone()).tensor,
                 unit: kept.scene_scale,
-                d_means: rows_of(d.means, group * 3),
-                d_scales: rows_of(d.scales, group * 3),
-                d_quats: rows_of(d.quats, group * 4),
-                d_opacities: rows_of(d.opacities, group),
-                d_sh_coeffs: rows_of(d.sh_coeffs, group * 3 * bases),
-                d_raw: d_raw.part(part.clone()).tensor,
-                count: (part.len() * group) as u32,
-                bases: bases as u32,
+                d_means: d.means,
+                d_scales: d.scales,
+                d_quats: d.quats,
+                d_opacities: d.opacities,
+                d_sh_coeffs: d.sh_coeffs,
+                d_raw: d_raw.part(part).tensor,
+                count: d.len as u32,
+                bases: widths[4] as u32 / 3,
                 group: group as u32,
                 stride: stride as u32,
             };
-            rec.dispatch(kernel, part.len() * group);
+            rec.dispatch(kernel, d.len);
         }
         d_raw
     }

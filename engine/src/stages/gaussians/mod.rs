@@ -67,21 +67,14 @@ impl Gaussians {
 
 /// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]`; `scene_scale` (`[1]` f32) scales lengths.
 pub fn activate(rec: &mut Recorder, raw: Tensor, scene_scale: Tensor, into: &SceneTensors) {
-    let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree } = *into;
-    let bases = (sh_degree as usize + 1).pow(2);
-    for part in row_chunks(rec, len, &[11 + 3 * bases, 3, 4, 1, 3 * bases].map(|width| 4 * width)) {
-        let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
-        let kernel = kernels::Activate {
-            raw: rows_of(raw, 11 + 3 * bases),
-            unit: scene_scale,
-            means: rows_of(means, 3),
-            scales: rows_of(scales, 3),
-            quats: rows_of(quats, 4),
-            opacities: rows_of(opacities, 1),
-            sh_coeffs: rows_of(sh_coeffs, 3 * bases),
-            count: part.len() as u32,
-            bases: bases as u32,
-        };
-        rec.dispatch(kernel, part.len());
+    let widths = SceneTensors::widths(into.sh_degree);
+    let width = widths.iter().sum::<usize>();
+    let bytes: Vec<usize> = widths.into_iter().chain([width]).map(|width| 4 * width).collect();
+    for part in row_chunks(rec, into.len, &bytes) {
+        let raw = raw.slice::<f32>(part.start * width, part.len() * width);
+        let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = into.part(part);
+        let (count, bases) = (len as u32, widths[4] as u32 / 3);
+        let unit = scene_scale;
+        rec.dispatch(kernels::Activate { raw, unit, means, scales, quats, opacities, sh_coeffs, count, bases }, len);
     }
 }

@@ -37,7 +37,8 @@ pub enum CameraTensors {
 impl CameraDecoder {
     pub fn new(p: &mut ParameterLayout, width: usize) -> Self {
         let root = "model.cam_dec";
-        let mut layer = |name: &str, outputs| Convolution::linear(p, &format!("{root}.{name}"), [width, outputs]);
+        let mut layer =
+            |name: &str, outputs| Convolution::of(p.exact_linear(&format!("{root}.{name}"), width, outputs), [1, 1]);
         Self {
             trunk: ["backbone.0", "backbone.2"].map(|name| layer(name, width)),
             translation: layer("fc_t", 3),
@@ -47,7 +48,7 @@ impl CameraDecoder {
     }
 
     pub fn record(&self, rec: &mut Recorder, tokens: Rows) -> CameraTensors {
-        let rectified = ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() };
+        let rectified = ConvolutionOptions::RECTIFIED;
         let x = FeatureMap::new(tokens, [1, tokens.count]);
         let x = self.trunk[0].record(rec, "hidden", x, ConvolutionOptions::default());
         let x = self.trunk[1].record(rec, "trunk", x, rectified);

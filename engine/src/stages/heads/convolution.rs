@@ -5,6 +5,33 @@ use crate::{
 };
 use std::ops::Range;
 
+/// Sets the fields common to convolution kernels of the output's `lines`.
+macro_rules! convolution_kernel {
+    ($kernel:ident, $convolution:ident, $source:ident, $seen:expr, $out:ident, $lines:ident, $options:ident,
+     { $($own:tt)* }) => {{
+        let (layer, (values, source_first)) = (&$convolution.layer, $seen);
+        kernels::$kernel {
+            source: values,
+            weight: layer.weight,
+            bias: layer.bias,
+            residual: $options.residual.map_or(layer.bias, |residual| residual.lines($lines.clone())),
+            out: $out.lines($lines.clone()),
+            pixels: ($lines.len() * $out.width) as u32,
+            first: ($lines.start * $out.width) as u32,
+            out_width: $out.width as u32,
+            columns: layer.columns as u32,
+            channels: $source.channels() as u32,
+            source_first,
+            side: $convolution.side as u32,
+            step: $convolution.step as u32,
+            gelu: $options.gelu,
+            add: $options.residual.is_some(),
+            add_rectified: $options.residual_rectified,
+            $($own)*
+        }
+    }};
+}
+
 /// A zero-padded odd convolution over whole vec4 of channels.
 pub struct Convolution {
     layer: Linear,
@@ -23,6 +50,10 @@ pub struct ConvolutionOptions {
     pub residual_rectified: bool,
 }
 
+impl ConvolutionOptions {
+    pub const RECTIFIED: Self = Self { rectified: true, gelu: false, residual: None, residual_rectified: false };
+}
+
 impl Convolution {
     /// Wraps an f32 panel layer over `[side, side, channels]`.
     pub fn of(layer: Linear, [side, step]: [usize; 2]) -> Self {
@@ -31,18 +62,6 @@ impl Convolution {
 
     pub(super) fn new(p: &mut ParameterLayout, name: &str, channels: [usize; 2], side: usize) -> Self {
         Self { layer: p.planar_convolution(name, channels, side, true), side, step: 1 }
-    }
-
-    pub(super) fn strided(self) -> Self {
-        Self { step: 2, ..self }
-    }
-
-    pub(super) fn unbiased(p: &mut ParameterLayout, name: &str, channels: [usize; 2]) -> Self {
-        Self { layer: p.planar_convolution(name, channels, 3, false), side: 3, step: 1 }
-    }
-
-    pub(super) fn linear(p: &mut ParameterLayout, name: &str, [inputs, outputs]: [usize; 2]) -> Self {
-        Self { layer: p.exact_linear(name, inputs, outputs), side: 1, step: 1 }
     }
 
     pub(super) fn record(
@@ -78,30 +97,14 @@ impl Convolution {
         let seen = step + 2 * padding + 1;
         for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * source.line_bytes()]) {
             let first = (lines.start * step).saturating_sub(padding);
-            let (values, source_first) = source.seen(first..(lines.end - 1) * step + side - padding);
+            let seen = source.seen(first..(lines.end - 1) * step + side - padding);
             let pixels = lines.len() * out.width;
-            let kernel = kernels::Convolution {
-                source: values,
-                weight: layer.weight,
-                bias: layer.bias,
-                residual: options.residual.map_or(layer.bias, |residual| residual.lines(lines.clone())),
-                out: out.lines(lines.clone()),
-                pixels: pixels as u32,
-                first: (lines.start * out.width) as u32,
-                out_width: out.width as u32,
-                columns: layer.columns as u32,
-                channels: source.channels() as u32,
+            let kernel = convolution_kernel!(Convolution, self, source, seen, out, lines, options, {
                 width: source.width as u32,
                 height: source.height as u32,
-                source_first,
-                side: *side as u32,
-                step: *step as u32,
                 padding: padding as u32,
                 rectified: options.rectified,
-                gelu: options.gelu,
-                add: options.residual.is_some(),
-                add_rectified: options.residual_rectified,
-            };
+            });
             rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across).flops(self.flops(pixels));
         }
     }
@@ -147,30 +150,14 @@ impl Convolution {
         let seen = step + side;
         let each = [out.line_bytes(), seen * source.line_bytes(), out.width * NARROWEST];
         for lines in row_chunks(rec, out.height, &each) {
-            let (values, source_first) = source.seen(lines.start * step..(lines.end - 1) * step + side);
+            let seen = source.seen(lines.start * step..(lines.end - 1) * step + side);
             let pixels = lines.len() * out.width;
-            let kernel = kernels::ConvolutionUniform {
-                source: values,
-                weight: layer.weight,
-                bias: layer.bias,
-                residual: options.residual.map_or(layer.bias, |residual| residual.lines(lines.clone())),
-                out: out.lines(lines.clone()),
-                pixels: pixels as u32,
-                first: (lines.start * out.width) as u32,
-                out_width: out.width as u32,
-                columns: layer.columns as u32,
-                side: *side as u32,
-                step: *step as u32,
-                channels: source.channels() as u32,
+            let kernel = convolution_kernel!(ConvolutionUniform, self, source, seen, out, lines, options, {
                 pitch: (source.width * source.channels()) as u32,
-                source_first,
-                gelu: options.gelu,
-                add: options.residual.is_some(),
-                add_rectified: options.residual_rectified,
                 terms: terms_of(side * source.channels()),
                 tile_rows,
                 vectors,
-            };
+            });
             let groups = [pixels.div_ceil(tile_rows as usize), layer.columns.div_ceil(tile_columns as usize), 1];
             rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(pixels));
         }

@@ -29,7 +29,7 @@ impl Residual {
     }
 
     fn record(&self, rec: &mut Recorder, x: FeatureMap) -> FeatureMap {
-        let rectified = ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() };
+        let rectified = ConvolutionOptions::RECTIFIED;
         let hidden = self.layers[0].record(rec, "hidden", x, rectified);
         let sum = ConvolutionOptions { residual: Some(x), residual_rectified: self.rectified, ..rectified };
         self.layers[1].record(rec, "residual", hidden, sum)

@@ -44,11 +44,7 @@ impl RayHead {
         let placed = x.resized(rec, "placed", x.size(), Some(positions));
         let hidden = self.hidden.record(rec, "hidden", placed, ConvolutionOptions::default());
         let normed = FeatureMap::new(self.norm.apply(rec, hidden.rows, Element::F32), hidden.size());
-        let logits = self
-            .out
-            .record(rec, "logits", normed, ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() })
-            .rows
-            .tensor;
+        let logits = self.out.record(rec, "logits", normed, ConvolutionOptions::RECTIFIED).rows.tensor;
         rec.observe("head/logits_aux", logits);
         rec.output(logits);
         logits

@@ -16,10 +16,7 @@ impl Tail {
 
     pub fn record(&self, rec: &mut Recorder, tap: &str, x: FeatureMap) -> Tensor {
         let hidden = self.0[0].record(rec, "hidden", x, ConvolutionOptions::default());
-        let logits = self.0[1]
-            .record(rec, "logits", hidden, ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() })
-            .rows
-            .tensor;
+        let logits = self.0[1].record(rec, "logits", hidden, ConvolutionOptions::RECTIFIED).rows.tensor;
         rec.observe(tap, logits);
         rec.output(logits);
         logits

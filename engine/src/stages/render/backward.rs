@@ -3,6 +3,7 @@
 
 use super::{
     Depth, FrameShape, RenderOptions, RenderOutputs, SceneTensors, draw, intersect::TileLists, project::Splats,
+    rasterize::bands,
 };
 use crate::{
     gpu::{Recorder, Tensor},
@@ -25,7 +26,6 @@ pub struct Gradients {
 pub const CAMERA_NUMBERS: usize = 10;
 pub(super) const PAIR_NUMBERS: usize = 10;
 const PART: usize = 128;
-const BAND: usize = 64;
 const FLOPS: u64 = 60;
 
 /// Per Gaussian-camera pair.
@@ -116,14 +116,11 @@ impl Backward<'_> {
         let values = 3 * usize::from(options.rgb) + usize::from(options.depth.is_some());
         let moments = rec.tensor::<[f32; 6]>("moments", capacity);
         let d_values = rec.tensor::<f32>("d_values", capacity * values.max(1));
-        let height = shape.height as usize;
         let row = shape.width as usize * options.channels();
-        let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
-        let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
         let runs = TILE * TILE / rec.limits().subgroup_size;
         let blends = capacity as u64 * u64::from(TILE * TILE);
-        for first in (0..height).step_by(bands) {
-            let rows = bands.min(height - first);
+        for band in bands(rec, shape, row) {
+            let (first, rows) = (band.start, band.len());
             let band = |frames: Tensor| frames.slice::<f32>(first * row, shape.cameras * rows * row);
             let kernel = RasterizeBackward {
                 pair_indices: lists.pair_indices,
@@ -152,7 +149,7 @@ impl Backward<'_> {
                 batched: !rec.limits().cpu,
             };
             let groups = [shape.grid()[0], (rows as u32).div_ceil(TILE), shape.cameras as u32];
-            rec.dispatch_groups(kernel, groups).flops(blends * FLOPS * rows as u64 / height as u64);
+            rec.dispatch_groups(kernel, groups).flops(blends * FLOPS * rows as u64 / u64::from(shape.height));
         }
         Slots { starts, moments, d_values }
     }
@@ -160,24 +157,24 @@ impl Backward<'_> {
     fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) -> Tensor {
         let &Backward { scene, cameras, shape, options, splats, lists, .. } = self;
         let lanes = rec.limits().subgroup_size as usize;
-        let stride = (scene.sh_degree as usize + 1).pow(2);
         let d_pairs = rec.tensor::<[f32; PAIR_NUMBERS]>("d_pairs", splats.pairs.max(1));
         let parts = gradients.cameras.map(|_| {
             rec.tensor::<[f32; CAMERA_NUMBERS]>("d_camera_parts", scene.len.div_ceil(lanes).max(1) * shape.cameras)
         });
-        let largest = [16, 12 * stride, 4 * PAIR_NUMBERS * shape.cameras].into_iter().fold(0, usize::max);
+        let sh_bytes = 4 * SceneTensors::widths(scene.sh_degree)[4];
+        let largest = sh_bytes.max(16).max(4 * PAIR_NUMBERS * shape.cameras);
         let part = (rec.limits().max_binding_bytes as usize / largest / PART * PART).max(PART);
         for first in (0..scene.len).step_by(part) {
             let len = part.min(scene.len - first);
-            let of = |tensor: Tensor, words: usize| tensor.slice::<u32>(words * first, words * len);
-            let pair = |tensor: Tensor, words: usize| of(tensor, words * shape.cameras);
-            let d = gradients.scene.map(|d| [(d.means, 3), (d.scales, 3), (d.quats, 4), (d.opacities, 1)]);
-            let [d_means, d_scales, d_quats, d_opacities] =
-                d.map_or([d_pairs; 4], |d| d.map(|(tensor, words)| of(tensor, words)));
-            let means = of(scene.means, 3);
+            let pair = |tensor: Tensor, words: usize| {
+                tensor.slice::<u32>(words * shape.cameras * first, words * shape.cameras * len)
+            };
+            let [means, scales, quats, opacities, sh_coeffs] = scene.part(first..first + len).all();
+            let d = gradients.scene.map(|d| d.part(first..first + len).all());
+            let [d_means, d_scales, d_quats, d_opacities, d_sh_coeffs] = d.unwrap_or([d_pairs; 5]);
             let kernel = ColorBackward {
                 means,
-                sh_coeffs: of(scene.sh_coeffs, 3 * stride),
+                sh_coeffs,
                 cameras,
                 colors: splats.colors.map_or(d_pairs, |colors| pair(colors, 3)),
                 status: lists.status,
@@ -185,7 +182,7 @@ impl Backward<'_> {
                 moments: slots.moments,
                 d_values: slots.d_values,
                 d_pairs: pair(d_pairs, PAIR_NUMBERS),
-                d_sh_coeffs: gradients.scene.map_or(d_means, |d| of(d.sh_coeffs, 3 * stride)),
+                d_sh_coeffs,
                 gaussians: len as u32,
                 camera_count: shape.cameras as u32,
                 color: options.rgb,
@@ -196,9 +193,9 @@ impl Backward<'_> {
             rec.dispatch(kernel, len);
             let kernel = ProjectBackward {
                 means,
-                scales: of(scene.scales, 3),
-                quats: of(scene.quats, 4),
-                opacities: of(scene.opacities, 1),
+                scales,
+                quats,
+                opacities,
                 cameras,
                 conics: pair(splats.conics, 3),
                 d_pairs: pair(d_pairs, PAIR_NUMBERS),

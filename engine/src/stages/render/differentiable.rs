@@ -131,8 +131,7 @@ impl Differentiator {
         wanted: Wanted,
         found: &mut HostGradients,
     ) -> Result<()> {
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        let shape = FrameShape { cameras: 1, width, height };
+        let shape = FrameShape::of(camera);
         let key = PlanKey { shape, backward: true, options: (*options, wanted) };
         let memory = self.memory.as_ref().expect("loaded before");
         let record = |capacity| GradientPlan::new(&self.arena, memory, shape, key.options, capacity);
@@ -197,7 +196,7 @@ impl Memory {
 
 /// Missing outputs are 0.
 fn interleaved(camera: &Camera, weights: &RenderOutput, options: &RenderOptions) -> Result<Vec<f32>> {
-    let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
+    let pixels = FrameShape::of(camera).pixels();
     let asked = [
         ("color", options.rgb, &weights.rgb, 3),
         ("alpha", options.alpha, &weights.alpha, 1),

@@ -21,6 +21,7 @@ use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
     kernels::limits::TILE,
+    types::Camera,
 };
 
 use intersect::TileLists;
@@ -112,6 +113,11 @@ fn draw(
 }
 
 impl FrameShape {
+    /// Shape of one camera's picture.
+    pub(crate) fn of(camera: &Camera) -> Self {
+        Self { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height }
+    }
+
     pub(crate) fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
     }

@@ -52,18 +52,19 @@ pub(super) fn record(
         tile_sets: tensor(rec, "tile_sets", 3),
         indices: tensor(rec, "indices", 1),
     };
-    let stride = (scene.sh_degree as usize + 1).pow(2);
-    for part in row_chunks(rec, scene.len, &[4, 16, 12 * stride, 12 * shape.cameras]) {
+    let sh_bytes = 4 * SceneTensors::widths(scene.sh_degree)[4];
+    for part in row_chunks(rec, scene.len, &[4, 16, sh_bytes, 12 * shape.cameras]) {
         let (first, len) = (part.start, part.len());
         let pair = |tensor: Tensor, words: usize| {
             tensor.slice::<u32>(words * first * shape.cameras, words * len * shape.cameras)
         };
+        let SceneTensors { means, scales, quats, opacities, sh_coeffs, .. } = scene.part(part);
         let kernel = Project {
-            means: scene.means.slice::<[f32; 3]>(first, len),
-            scales: scene.scales.slice::<[f32; 3]>(first, len),
-            quats: scene.quats.slice::<[f32; 4]>(first, len),
-            opacities: scene.opacities.slice::<f32>(first, len),
-            sh_coeffs: scene.sh_coeffs.slice::<[f32; 3]>(first * stride, len * stride),
+            means,
+            scales,
+            quats,
+            opacities,
+            sh_coeffs,
             cameras,
             xy_opacities: pair(splats.xy_opacities, 3),
             conics: pair(splats.conics, 3),
@@ -84,7 +85,7 @@ pub(super) fn record(
         };
         rec.dispatch(kernel, len * shape.cameras);
         if let Some(normals) = splats.normals {
-            let Project { means, scales, quats, pairs, camera_count, .. } = kernel;
+            let Project { pairs, camera_count, .. } = kernel;
             let kernel = Normals { means, scales, quats, cameras, normals: pair(normals, 3), pairs, camera_count };
             rec.dispatch(kernel, len * shape.cameras);
         }

@@ -3,12 +3,21 @@ use crate::{
     gpu::{Recorder, Tensor},
     kernels::{limits::TILE, render::Rasterize},
 };
+use std::ops::Range;
 
 /// Rows between cuts, which align parts to 256 bytes.
 const BAND: usize = 64;
 /// Small images have few tiles; CPU workgroups take whole tiles.
 const GPU_PIXELS: u32 = 64;
 const BLEND_FLOPS: u64 = 24;
+
+/// Splits one picture, with `row` values a row, at the binding limit. Callers split batches.
+pub(super) fn bands(rec: &Recorder, shape: FrameShape, row: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+    let height = shape.height as usize;
+    let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
+    let rows = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
+    (0..height).step_by(rows).map(move |first| first..height.min(first + rows))
+}
 
 pub(super) fn record(
     rec: &mut Recorder,
@@ -17,18 +26,14 @@ pub(super) fn record(
     shape: FrameShape,
     options: &RenderOptions,
 ) -> Tensor {
-    let height = shape.height as usize;
     let row = shape.width as usize * options.channels();
-    let frames = rec.tensor::<f32>("frames", shape.cameras * height * row);
-    // Callers split batches at the binding limit.
-    let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
-    let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
+    let frames = rec.tensor::<f32>("frames", shape.cameras * shape.height as usize * row);
     let lanes = rec.limits().subgroup_size;
     let runs = if rec.limits().cpu { TILE * TILE / lanes } else { (GPU_PIXELS / lanes).max(1) };
     let groups_a_tile = TILE * TILE / (lanes * runs);
     let blends = lists.pair_indices.bytes() / 4 * u64::from(TILE * TILE);
-    for first in (0..height).step_by(bands) {
-        let rows = bands.min(height - first);
+    for band in bands(rec, shape, row) {
+        let (first, rows) = (band.start, band.len());
         let kernel = Rasterize {
             pair_indices: lists.pair_indices,
             tile_offsets: lists.tile_offsets,
@@ -55,7 +60,7 @@ pub(super) fn record(
             batched: !rec.limits().cpu,
         };
         let groups = [shape.grid()[0] * groups_a_tile, (rows as u32).div_ceil(TILE), shape.cameras as u32];
-        rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / height as u64);
+        rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / u64::from(shape.height));
     }
     frames
 }

@@ -10,6 +10,7 @@ use crate::{
     gpu::{Arena, Claim, Device, Limits, Profile, ResidentLayout, Target},
     types::{Camera, Scene, SkippedPass},
 };
+use std::collections::BTreeMap;
 
 /// Renders scenes on one device, replaying cached plans in a shared arena.
 pub struct Renderer {
@@ -139,14 +140,12 @@ impl Renderer {
     pub fn render(&mut self, cameras: &[Camera], options: &RenderOptions) -> Result<Vec<RenderOutput>> {
         check(cameras, options)?;
         let _claim = self.claim();
-        let mut sizes: Vec<(u32, u32)> = cameras.iter().map(|c| (c.intrinsics.width, c.intrinsics.height)).collect();
-        sizes.sort_unstable();
-        sizes.dedup();
+        let mut by_size = BTreeMap::<(u32, u32), Vec<usize>>::new();
+        for (i, camera) in cameras.iter().enumerate() {
+            by_size.entry((camera.intrinsics.width, camera.intrinsics.height)).or_default().push(i);
+        }
         let mut frames: Vec<Option<RenderOutput>> = cameras.iter().map(|_| None).collect();
-        for size in sizes {
-            let alike =
-                (0..cameras.len()).filter(|&i| (cameras[i].intrinsics.width, cameras[i].intrinsics.height) == size);
-            let indices: Vec<usize> = alike.collect();
+        for (size, indices) in by_size {
             let rows: Vec<CameraRows> = indices.iter().map(|&i| camera_rows(&cameras[i])).collect();
             let drawn = self.render_alike(&rows, size, options, Destination::Host(0))?;
             for (index, frame) in indices.into_iter().zip(drawn) {
@@ -190,9 +189,7 @@ impl Renderer {
         };
         check(std::slice::from_ref(camera), &options)?;
         let _claim = self.claim();
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_alike(&[camera_rows(camera)], (width, height), &options, Destination::Device(layout))?;
-        let plan = self.plan(FrameShape { cameras: 1, width, height }, &options, Destination::Device(layout))?;
+        let plan = self.drawn(camera, &options, Destination::Device(layout))?;
         plan.run.present(plan.outputs.frames, target)
     }
 
@@ -200,11 +197,16 @@ impl Renderer {
     pub fn profile(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Profile> {
         check(std::slice::from_ref(camera), options)?;
         let _claim = self.claim();
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_alike(&[camera_rows(camera)], (width, height), options, Destination::Host(0))?;
-        let plan = self.plan(FrameShape { cameras: 1, width, height }, options, Destination::Host(0))?;
+        let plan = self.drawn(camera, options, Destination::Host(0))?;
         plan.run.write(plan.cameras, &[camera_rows(camera)])?;
         plan.run.profile()
+    }
+
+    /// Draws one picture and returns its plan.
+    fn drawn(&mut self, camera: &Camera, options: &RenderOptions, destination: Destination) -> Result<&mut RenderPlan> {
+        let shape = FrameShape::of(camera);
+        self.render_alike(&[camera_rows(camera)], (shape.width, shape.height), options, destination)?;
+        self.plan(shape, options, destination)
     }
 
     pub(super) fn render_alike(
