@@ -10,6 +10,7 @@ use crate::{
     process,
     scratch::Scratch,
     session::Session,
+    stamp::entries,
     table::counted,
 };
 use clap::{Args, ValueEnum};
@@ -216,7 +217,7 @@ impl<'a> Search<'a> {
         let default = if count > ALL_PAIRS { Matching::Sequential } else { Matching::Exhaustive };
         let pairs = searching.matching.unwrap_or(default);
         let side = searching.matching_size.unwrap_or(SIDE);
-        let most = if colmap.can_map_keyframes() { MAX_KEYFRAMES } else { count };
+        let most = if colmap.python { count } else { MAX_KEYFRAMES };
         let keyframes = if pairs == Matching::Sequential { work.choose_keyframes(most)? } else { count };
         let (log, output) = (Log::new()?, ColmapOutput::default());
         Ok(Self { colmap, work, pairs, side, keyframes, log, output, times: Vec::new() })
@@ -308,7 +309,7 @@ impl<'a> Search<'a> {
         match self.log.keep() {
             Ok(log) => {
                 let why = format!("could not {}: {status}{last_words}; all of them: {}", step.name(), log.display());
-                process::failure(self.colmap.program(), &why, status)
+                process::failure(&self.colmap.program, &why, status)
             }
             Err(error) => error,
         }
@@ -355,13 +356,8 @@ fn nothing(photos: usize, output: &ColmapOutput) -> Error {
 }
 
 fn model_folders(folder: &Path) -> Result<Vec<PathBuf>> {
-    let failed = |source| Error::io(folder, source);
-    let mut folders = Vec::new();
-    for entry in folder.read_dir().map_err(failed)? {
-        folders.push(entry.map_err(failed)?.path());
-    }
+    let mut folders = entries(folder)?;
     folders.retain(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
-    folders.sort();
     Ok(folders)
 }
 

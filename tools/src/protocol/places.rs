@@ -1,4 +1,5 @@
 use super::Protocol;
+use crate::stamp::entries;
 use std::{
     fs::File,
     io::Read,
@@ -116,10 +117,4 @@ fn is_addressed(path: &Path) -> bool {
     let mut start = [0; 4];
     path.extension().is_some_and(|extension| extension == "txt")
         && File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok_and(|()| start == *b"http")
-}
-
-fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let failed = |error| Error::io(folder, error);
-    let entries = folder.read_dir().map_err(failed)?;
-    entries.map(|entry| Ok(entry.map_err(failed)?.path())).collect()
 }

@@ -106,9 +106,10 @@ impl Live<'_> {
         self.quality.prune(&mut scene, self.checkpoint.architecture());
         self.turned.iter().for_each(|first| scene.place(1.0, first));
         times.push(("read".into(), begin.elapsed()));
+        let all = self.checkpoint.architecture().gaussians_per_token;
         let shown = ShownScene {
             name: self.name.clone(),
-            group: Some(self.quality.group(self.checkpoint.architecture())),
+            group: self.quality.kept().map(|keep| keep as usize).or(Some(all)),
             patches: made.patches.indices(),
             times: times.into_iter().map(|(stage, took)| (stage, milliseconds(took))).collect(),
             skipped_passes: made.skipped_passes,

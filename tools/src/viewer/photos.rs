@@ -10,7 +10,7 @@ use crate::{
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
     html::data_url,
-    options::{Network, Quality, Weights, parse_length},
+    options::{Quality, Weights, parse_length},
     photos::{self, Reading},
     refinement::{Initialization, RefineArgs, placed},
     session::Session,
@@ -40,7 +40,7 @@ pub struct FromPhotos {
     #[command(flatten)]
     pub reading: Reading,
     #[command(flatten)]
-    weights: Weights,
+    pub weights: Weights,
     #[command(flatten)]
     pub quality: Quality,
     #[command(flatten)]
@@ -52,12 +52,12 @@ pub struct FromPhotos {
     #[command(flatten)]
     pub(super) finding: Finding,
     /// Length in the cameras' unit that is 1 for the network, as in reconstruct
-    #[arg(long, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
+    #[arg(long, alias = "unit", value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
     pub(super) scene_scale: Option<f64>,
     /// Ratios of the scenes in a written page, and of pixel scenes, at most 8 [default:
     /// 1,0.5,0.25,0.1 without duplicates]
     #[arg(long, value_name = "R,R,..", value_delimiter = ',')]
-    ratios: Vec<f64>,
+    pub ratios: Vec<f64>,
     #[command(flatten)]
     refine: RefineArgs,
 }
@@ -70,7 +70,7 @@ pub struct Ready<'a> {
     pub live: Live<'a>,
     /// In the scene's world.
     pub cameras: Vec<InputCamera>,
-    names: Vec<String>,
+    pub(super) names: Vec<String>,
     pub(super) photos: Vec<PathBuf>,
     pub(super) frames: Vec<CaptureView>,
     cloud: Option<PointCloud>,
@@ -84,10 +84,6 @@ pub(super) struct Photographed {
 }
 
 impl FromPhotos {
-    pub fn network(&self) -> Result<Network> {
-        self.weights.open_network()
-    }
-
     pub(super) fn photographed(
         &self,
         session: &mut Session<'_>,
@@ -116,10 +112,6 @@ impl FromPhotos {
             ("--camera-model", self.reading.camera_model.is_some()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
-    }
-
-    pub fn lists_ratios(&self) -> bool {
-        !self.ratios.is_empty()
     }
 
     pub fn refines(&self) -> bool {
@@ -262,10 +254,6 @@ impl Ready<'_> {
 
     pub fn view(&self, index: usize) -> Result<Vec<u8>> {
         self.live.images[index].jpeg(QUALITY)
-    }
-
-    pub fn view_count(&self) -> usize {
-        self.names.len()
     }
 }
 

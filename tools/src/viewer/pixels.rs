@@ -60,7 +60,7 @@ impl FromPhotos {
         let mut predictor = options.open(session, &device)?;
         let (mut scenes, mut cameras) = (Vec::new(), Vec::new());
         for ratio in ratios {
-            predictor.keep(Ratio::Fixed(ratio));
+            predictor.request.ratio = Ratio::Fixed(ratio);
             let predict = |stage: &Stage<'_>| predictor.predict(prepared.clone(), stage);
             let (mut predicted, _) = session.stage("depth", predict)?;
             predicted.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;

@@ -2,7 +2,7 @@ mod summary;
 
 use crate::{
     depth::DEPTH_WEIGHTS,
-    options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
+    options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse, refuse_all},
     outputs::{self, Overwrite, size_of},
     released::{is_of_depth, open_complete_depth},
     session::Session,
@@ -72,9 +72,8 @@ impl Convert {
     }
 
     fn summarize(&self, session: &mut Session<'_>, is_scene: bool) -> Result<()> {
-        for (option, given) in [("--dtype", self.dtype.is_some()), ("--spz-version", self.spz_version.is_some())] {
-            refuse(option, given, "no output", "a file to write")?;
-        }
+        let options = [("--dtype", self.dtype.is_some()), ("--spz-version", self.spz_version.is_some())];
+        refuse_all(options, "no output", "a file to write")?;
         let path = Path::new(&self.input);
         if path.is_dir() {
             let found = format!("the folder {}", path.display());
@@ -92,8 +91,8 @@ impl Convert {
     }
 
     fn scene(&self, session: &mut Session<'_>, output: &Path, format: SceneFormat) -> Result<()> {
-        refuse("--dtype", self.dtype.is_some(), "a scene", "a checkpoint")?;
-        refuse("--variant", self.variant.is_some(), "a scene", "a checkpoint")?;
+        let options = [("--dtype", self.dtype.is_some()), ("--variant", self.variant.is_some())];
+        refuse_all(options, "a scene", "a checkpoint")?;
         let is_spz = format == SceneFormat::Spz;
         refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;

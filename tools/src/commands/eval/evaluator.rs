@@ -2,7 +2,6 @@ use super::{Eval, Scaling, alignment::Alignment};
 use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::{DepthPredictor, PredictorOptions},
-    known_depth::WithDepth,
     options::{Network as Weighed, Quality, refuse},
     refinement::{self, Initialization, Refinable, RefineTask},
     released::open_depth,
@@ -148,7 +147,7 @@ impl<'a> Evaluator<'a> {
                 let prepared = predictor.prepare(&choice.inputs(), &frames, choice.masks.as_ref(), stage)?;
                 predictor.predict(prepared, stage)
             })?;
-            predicted.scale(false, choice.cloud())?;
+            predicted.scale(false, choice.poses.points.as_deref())?;
             predicted.scene(&frames[0].camera.pose, None)?
         };
         capture.rescale_to(&scene, from.to_owned())
@@ -188,8 +187,8 @@ impl<'a> Evaluator<'a> {
             self.model = Some(session.load_model(&self.device, checkpoint, self.arithmetic)?.0);
         }
         let model = self.model.as_ref().expect("it was loaded");
-        let images = capture.images();
-        let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
+        let images = &capture.views.images;
+        let (cameras, world) = self.seeing.crop.network_cameras(capture.views.cameras.clone());
         let mut request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
         let blocks = eval.blocks.choose(model, images.len(), self.seeing.size, &mut request, |_, _| Ok(1.0))?;
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
@@ -265,8 +264,7 @@ fn refine(
     }
     let mut best: Option<RefineResult> = None;
     loop {
-        let photos = WithDepth(&photos, known.as_ref());
-        let refined = refinement::refine(session, arena, from, photos, &cameras, &request)?;
+        let refined = refinement::refine(session, arena, from, (&photos, known.as_ref()), &cameras, &request)?;
         let gain = best.as_ref().map_or(f64::INFINITY, |best| refined.training_psnr[0] - best.training_psnr[0]);
         match (&refined.stop_reason, &mut request.length) {
             (Some(StopReason::Cancelled), _) => return Err(Error::Cancelled),

@@ -33,7 +33,7 @@ pub struct ExternalScene {
     from_depth: Option<PathBuf>,
     /// World of --scene [default: aligned with --scene-cameras, else the file's, else
     /// first-camera]
-    #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
+    #[arg(long, alias = "world", value_enum, value_name = "WHOSE", requires = "scene")]
     scene_frame: Option<SceneFrame>,
     /// Cameras of the input photos in the scene's world, for --scene-frame aligned, as for
     /// --cameras; with --protocol a folder of NAME.json or COLMAP models NAME/

@@ -19,7 +19,7 @@ pub fn refine(
     let (photos, cameras) = capture.training_views();
     let refine = RefineOptions { length: steps.length, ..RefineOptions::default() };
     let refined = if steps.tokens {
-        let features = model.features(&capture.images(), request, |_| stage.go_on())?;
+        let features = model.features(&capture.views.images, request, |_| stage.go_on())?;
         let tokens = model.tokens(&features, request, |_| stage.go_on())?;
         drop(features);
         let head = FrozenHead::load(model.arena().device(), checkpoint)?;

@@ -196,7 +196,7 @@ impl Bench<'_> {
     }
 
     fn forward(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<Forward> {
-        let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
+        let (images, capture, shape) = (&case.capture.views.images, case.capture, case.shape);
         let flops = model.plan(shape)?.plan.flops();
         let (mut times, mut last) = (Vec::new(), None);
         for i in 0..self.args.warmup + self.args.repeats {

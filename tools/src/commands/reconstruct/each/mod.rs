@@ -107,10 +107,7 @@ impl<'a> Batch<'a> {
         }
         let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
         let text = outputs::and_others(text, &others);
-        if !failures.is_empty() {
-            session.note(format!("{}: {}", output.join(FAILURES).display(), counted(failures.len(), "capture")));
-            session.end_with(1);
-        }
+        outputs::note_failures(session, output, &failures, "capture");
         session.report(&json, text)
     }
 
