@@ -221,6 +221,17 @@ impl DepthPredictor {
         read(self.input, photos, known, masks, stage)
     }
 
+    /// Prepares photos and predicts in one stage; returns its time.
+    pub fn see(
+        &self,
+        session: &mut Session<'_>,
+        photos: &[PathBuf],
+        known: &[&CaptureView],
+        masks: Option<&Masks>,
+    ) -> Result<(PredictedViews, Duration)> {
+        session.stage("depth", |stage| self.predict(self.prepare(photos, known, masks, stage)?, stage))
+    }
+
     pub fn predict(&self, prepared: PreparedPhotos, stage: &Stage<'_>) -> Result<PredictedViews> {
         let (PreparedPhotos { photos, views, known_cameras }, begun) = (prepared, Instant::now());
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();

@@ -4,7 +4,6 @@
 
 pub mod align;
 mod animation;
-mod antialiasing;
 mod blocks;
 mod cameras;
 mod capture;

@@ -1,5 +1,4 @@
 use crate::{
-    antialiasing::Antialiasing,
     depth::DEPTH_WEIGHTS,
     released::{self, is_of_depth, open_whole_depth},
     session::Session,
@@ -152,6 +151,20 @@ pub struct Quality {
     pub arithmetic: ArithmeticOption,
 }
 
+#[derive(Args, Clone, Copy)]
+pub struct Antialiasing {
+    /// Whether the scene is antialiased: pictures fade Gaussians thinner than a pixel, as in
+    /// Mip-Splatting [default: as its file states]
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub antialiased: Option<bool>,
+}
+
+impl Antialiasing {
+    pub fn refuse(self, found: &str, expected: &str) -> Result<()> {
+        refuse("--antialiased", self.antialiased.is_some(), found, expected)
+    }
+}
+
 #[derive(Args)]
 pub struct SceneInput {
     /// Drop Gaussians with NaN, infinite or out-of-range values, otherwise an error
@@ -173,7 +186,7 @@ impl SceneInput {
 
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| Scene::open_unchecked(path))?;
-        scene.antialiased = self.antialiased.given().unwrap_or(scene.antialiased);
+        scene.antialiased = self.antialiased.antialiased.unwrap_or(scene.antialiased);
         if !self.drop_invalid {
             let refused =
                 |error| Error::format(path, None, format!("{error}; --drop-invalid leaves such Gaussians out"));

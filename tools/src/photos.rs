@@ -105,6 +105,14 @@ impl Reading {
     }
 }
 
+/// Photos, and their cameras if known.
+pub struct Photographed {
+    pub photos: Vec<PathBuf>,
+    pub known: Option<KnownCameras>,
+    /// Of converted photos.
+    pub folder: Option<FrameFolder>,
+}
+
 /// Photos of folders are in natural order. Notes skipped files, except hidden ones.
 pub fn list(session: &mut Session<'_>, paths: &[PathBuf], recursive: bool) -> Result<Vec<PathBuf>> {
     let mut photos = Vec::new();

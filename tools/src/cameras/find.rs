@@ -93,7 +93,7 @@ pub struct EstimatedCameras {
     pub(super) _work: Scratch,
 }
 
-pub(super) struct Log(NamedTempFile);
+pub(super) struct Log(pub NamedTempFile);
 
 struct Search<'a> {
     colmap: &'a Colmap,
@@ -306,13 +306,10 @@ impl<'a> Search<'a> {
             words if words.is_empty() => String::new(),
             words => format!("; its last words: {words}"),
         };
-        match self.log.keep() {
-            Ok(log) => {
-                let why = format!("could not {}: {status}{last_words}; all of them: {}", step.name(), log.display());
-                process::failure(&self.colmap.program, &why, status)
-            }
-            Err(error) => error,
-        }
+        self.log.0.disable_cleanup(true);
+        let log = self.log.0.path().display();
+        let why = format!("could not {}: {status}{last_words}; all of them: {log}", step.name());
+        process::failure(&self.colmap.program, &why, status)
     }
 }
 
@@ -381,14 +378,5 @@ impl Log {
 
     fn write(&mut self, line: &str) -> Result<()> {
         writeln!(self.0.as_file_mut(), "{line}").map_err(|source| Error::io(self.0.path(), source))
-    }
-
-    pub(super) fn path(&self) -> &Path {
-        self.0.path()
-    }
-
-    fn keep(&mut self) -> Result<PathBuf> {
-        self.0.disable_cleanup(true);
-        Ok(self.path().to_owned())
     }
 }

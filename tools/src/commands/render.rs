@@ -92,11 +92,6 @@ pub struct Render {
 /// Full width at half maximum, in standard deviations.
 const WIDTH: f64 = 2.354_820_045;
 
-fn show_points(scene: &mut Scene, width: f64) {
-    scene.scales.fill([(width / WIDTH) as f32; 3]);
-    scene.opacities.fill(1.0);
-}
-
 #[derive(Clone, Copy, ValueEnum)]
 enum DepthKind {
     /// Mean visible depth
@@ -109,7 +104,10 @@ impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.check()?;
         let (mut scene, dropped) = self.input.read(session, &self.scene)?;
-        self.point_size.iter().for_each(|size| show_points(&mut scene, *size));
+        if let Some(size) = self.point_size {
+            scene.scales.fill([(size / WIDTH) as f32; 3]);
+            scene.opacities.fill(1.0);
+        }
         let world = read_world(&self.scene)?;
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
@@ -216,7 +214,7 @@ impl Render {
             normals: self.normals,
             token_group: self.gaussians_per_token,
             background: self.background,
-            antialiased: self.input.antialiased.given(),
+            antialiased: self.input.antialiased.antialiased,
             near: None,
         }
     }

@@ -263,7 +263,7 @@ impl Setup {
         let row = |y: usize| go_on().map(|()| (0..width).map(|x| pixel(x, y)).collect());
         let light = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<Vec3A>>>>()?.concat();
         let depth = rows.iter().flatten().map(|(_, depth)| *depth).collect();
-        let surface = rows.iter().flatten().map(|(hit, _)| hit.distance.map(|_| hit.surface())).collect();
+        let surface = rows.iter().flatten().map(|(hit, _)| hit.distance.map(|_| hit.region >> 4)).collect();
         Ok(Frame { light, depth, surface })
     }
 

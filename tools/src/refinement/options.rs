@@ -1,5 +1,10 @@
 use super::{Initialization, exposure::Exposure};
-use crate::{antialiasing::Antialiasing, cameras::COLMAP, known_depth::KnownDepth, options::Size, session::Session};
+use crate::{
+    cameras::COLMAP,
+    known_depth::KnownDepth,
+    options::{Antialiasing, Size},
+    session::Session,
+};
 use clap::{Arg, ArgGroup, Args, ValueEnum, builder::ArgPredicate};
 use std::{
     ffi::OsString,
@@ -218,7 +223,7 @@ impl RefineSettings {
             holdout_views: self.holdout_views,
             optimize_cameras: self.optimize_cameras,
             exposure: self.exposure.of_photos(photos),
-            antialiased: antialiased.given(),
+            antialiased: antialiased.antialiased,
             max_gaussians: self.max_gaussians,
             perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),
             depth_loss: depth_loss

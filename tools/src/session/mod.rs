@@ -74,7 +74,8 @@ pub struct Session<'a> {
     piped: bool,
     /// Exit code of a command without an error.
     pub code: u8,
-    task: String,
+    /// Start of the stages' names.
+    pub task: String,
     pub began: Instant,
     next_line: Mutex<Instant>,
 }
@@ -94,10 +95,6 @@ impl<'a> Session<'a> {
             began,
             next_line,
         }
-    }
-
-    pub fn begin_task(&mut self, task: &str) {
-        self.task = format!("{task}: ");
     }
 
     pub fn device(&mut self) -> Result<Device> {

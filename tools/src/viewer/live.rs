@@ -1,7 +1,7 @@
 //! Scenes of any ratio on demand, from features on the device.
 
 use super::page::{Ratios, ShownScene};
-use crate::options::Quality;
+use crate::{options::Quality, process::lock};
 use std::{
     ops::ControlFlow,
     sync::{
@@ -125,7 +125,7 @@ impl Live<'_> {
     }
 
     pub fn grid(&self) -> ViewGrid {
-        self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].features.grid()
+        lock(&self.sources)[0].features.grid()
     }
 
     pub fn go_on(&self) -> ControlFlow<()> {
@@ -133,7 +133,7 @@ impl Live<'_> {
     }
 
     pub fn first_precision(&self) -> Precision {
-        self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].precision
+        lock(&self.sources)[0].precision
     }
 
     pub fn ratios(&self) -> Ratios {

@@ -3,15 +3,14 @@ use super::{
     cameras::{InputCamera, QUALITY},
     live::{LiveScene, Source},
     page::{ShownScene, View},
-    watched::Target,
+    watched::{SHOWN, Target},
 };
 use crate::{
-    antialiasing::Antialiasing,
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
     html::data_url,
-    options::{Quality, Weights, parse_length},
-    photos::{self, Reading},
+    options::{Antialiasing, Quality, Weights, parse_length},
+    photos::{self, Photographed, Reading},
     refinement::{Initialization, RefineArgs, placed},
     session::Session,
     table::counted,
@@ -21,12 +20,16 @@ use crate::{
 use clap::Args;
 use std::{
     path::{Path, PathBuf},
-    sync::{Mutex, atomic::AtomicU64},
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, AtomicU64},
+    },
 };
 use zipsplat::{
     Error, Result,
     gpu::Progress,
     reconstruct::{MAX_VIEWS, Ratio, Shape},
+    refine::RefineOptions,
     types::{
         Camera, PointCloud, Pose,
         poses::{Capture, CaptureView, read_cloud},
@@ -75,12 +78,6 @@ pub struct Ready<'a> {
     pub(super) frames: Vec<CaptureView>,
     cloud: Option<PointCloud>,
     _folder: Option<FrameFolder>,
-}
-
-pub(super) struct Photographed {
-    pub photos: Vec<PathBuf>,
-    pub known: Option<KnownCameras>,
-    pub folder: Option<FrameFolder>,
 }
 
 impl FromPhotos {
@@ -218,7 +215,7 @@ impl FromPhotos {
         let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
         let frames: Vec<&CaptureView> = ready.frames.iter().collect();
         let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
-        let (start, tokens) = if steps.tokens {
+        let (target, tokens) = if steps.tokens {
             let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
             (Target::Tokens(live.tokens()?), Some(shown))
         } else {
@@ -239,7 +236,16 @@ impl FromPhotos {
         let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind), &ready.photos);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
-        Ok(Some(Watched::new(start, tokens, (self.finding.masks(), known), cameras, request)))
+        Ok(Some(Watched {
+            target,
+            tokens,
+            masks: self.finding.masks(),
+            known,
+            cameras,
+            request: RefineOptions { snapshots: SHOWN, ..request },
+            now: Mutex::default(),
+            stop: AtomicBool::new(false),
+        }))
     }
 }
 

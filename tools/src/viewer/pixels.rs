@@ -1,12 +1,8 @@
-use super::{
-    FromPhotos,
-    cameras::InputCamera,
-    page::ShownScene,
-    photos::{Photographed, input_cameras},
-};
+use super::{FromPhotos, cameras::InputCamera, page::ShownScene, photos::input_cameras};
 use crate::{
     depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras},
     options::refuse,
+    photos::Photographed,
     session::{Session, Stage},
     video::FrameFolder,
     views::Crop,

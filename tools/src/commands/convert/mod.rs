@@ -112,21 +112,17 @@ impl Convert {
         self.scene_input.refuse("a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         if is_of_depth(&self.input) {
-            return self.depth_checkpoint(session, output, dtype);
+            refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
+            let checkpoint = open_complete_depth(&self.input)?;
+            session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
+            let of = checkpoint.architecture();
+            return report(session, output, &of.name, json!(of), of.parameter_count(), dtype);
         }
         let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
-        checkpoint.notes().iter().for_each(|note| session.note(note));
+        session.notes(checkpoint.notes());
         session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
-        let architecture = checkpoint.architecture();
-        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
-    }
-
-    fn depth_checkpoint(&self, session: &mut Session<'_>, output: &Path, dtype: Dtype) -> Result<()> {
-        refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
-        let checkpoint = open_complete_depth(&self.input)?;
-        session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
-        let architecture = checkpoint.architecture();
-        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
+        let of = checkpoint.architecture();
+        report(session, output, &of.name, json!(of), of.parameter_count(), dtype)
     }
 }
 

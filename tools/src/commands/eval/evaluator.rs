@@ -1,4 +1,4 @@
-use super::{Eval, Scaling, alignment::Alignment};
+use super::{Eval, Scaling, alignment::Alignment, external_scene::depth_scene};
 use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::{DepthPredictor, PredictorOptions},
@@ -132,7 +132,7 @@ impl<'a> Evaluator<'a> {
         from: &str,
     ) -> Result<()> {
         let scene = if Path::new(from).is_dir() {
-            super::depth::scene(Path::new(from), choice, capture)?
+            depth_scene(Path::new(from), choice, capture)?
         } else {
             let predictor = match self.scaler.take() {
                 Some(predictor) => predictor,
@@ -143,10 +143,7 @@ impl<'a> Evaluator<'a> {
                 }
             };
             let (predictor, frames) = (self.scaler.insert(predictor), choice.input_frames());
-            let (mut predicted, _) = session.stage("depth", |stage| {
-                let prepared = predictor.prepare(&choice.inputs(), &frames, choice.masks.as_ref(), stage)?;
-                predictor.predict(prepared, stage)
-            })?;
+            let (mut predicted, _) = predictor.see(session, &choice.inputs(), &frames, choice.masks.as_ref())?;
             predicted.scale(false, choice.poses.points.as_deref())?;
             predicted.scene(&frames[0].camera.pose, None)?
         };

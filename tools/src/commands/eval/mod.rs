@@ -1,5 +1,4 @@
 mod alignment;
-mod depth;
 mod evaluator;
 mod external_scene;
 mod images;

@@ -53,10 +53,7 @@ impl Evaluator<'_> {
             (self.quality.ratio, self.quality.token_selection.clone());
         let (inputs, pose_free) = (choice.input_frames(), self.eval.pose_free);
         let known = if pose_free { &[][..] } else { &inputs[..] };
-        let (mut predicted, took) = session.stage("depth", |stage| {
-            let prepared = predictor.prepare(&choice.inputs(), known, choice.masks.as_ref(), stage)?;
-            predictor.predict(prepared, stage)
-        })?;
+        let (mut predicted, took) = predictor.see(session, &choice.inputs(), known, choice.masks.as_ref())?;
         session.notes(&predicted.notes);
         if !pose_free {
             predicted.scale(false, choice.poses.points.as_deref())?;

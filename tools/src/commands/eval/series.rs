@@ -142,16 +142,18 @@ impl Series<'_> {
         session: &mut Session<'_>,
     ) -> Result<()> {
         let limit = self.eval.series.limit.unwrap_or(usize::MAX);
-        let (all, began, unknown) = (places.len() * settings.len(), Instant::now(), tally.unknown);
+        let (all, began) = (places.len() * settings.len(), Instant::now());
+        let (evaluated, unknown) = (tally.evaluated, tally.unknown);
         for (i, (place, setting)) in places.iter().flat_map(|p| settings.iter().map(move |s| (p, s))).enumerate() {
             if tally.evaluated >= limit {
                 break;
             }
             let scene = format!("{} of {all}, {} {}", i + 1, place.name, setting.name());
             // Existing records take no time.
-            let rest = began.elapsed().checked_div(tally.evaluated as u32).map(|each| each * (all - i) as u32);
+            let done = (tally.evaluated - evaluated) as u32;
+            let rest = began.elapsed().checked_div(done).map(|each| each * (all - i) as u32);
             let rest = rest.map_or_else(String::new, |rest| format!(", all in about {}", HumanDuration(rest)));
-            session.begin_task(&format!("{scene}{rest}"));
+            session.task = format!("{scene}{rest}: ");
             match self.evaluate(place, setting, evaluator, &scene, session) {
                 Ok(Outcome::Evaluated) => tally.evaluated += 1,
                 Ok(Outcome::Unchanged) => tally.unchanged += 1,

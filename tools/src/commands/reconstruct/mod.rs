@@ -9,19 +9,17 @@ mod world;
 
 use super::render::Render;
 use crate::{
-    antialiasing::Antialiasing,
     blocks::BlockArgs,
     cameras::{Finding, KnownCameras, Place},
-    options::{Network, Quality, Size, Weights, parse_length, refuse},
+    options::{Antialiasing, Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
-    photos::PhotoArgs,
+    photos::{PhotoArgs, Photographed},
     refinement::{self, Initialization, RefineArgs, has_stable_cameras, placed, save_cameras},
     session::{Session, stage_seconds},
     table::{bytes, counted, time},
     video::FrameFolder,
     views::CropOption,
 };
-use captured::Captured;
 use clap::{Arg, ArgGroup, Args};
 use each::Batch;
 use forward::{Forward, LOAD_WEIGHTS};
@@ -176,7 +174,9 @@ impl Reconstruct {
         let drawing = self.drawing()?;
         let network = self.weights.open_network()?;
         self.check_network(session, &network)?;
-        let Captured { photos, poses, mut frame_folder, mut found } = self.captured(session, &network)?;
+        let Photographed { photos, known, folder: mut frame_folder } = self.captured(session, &network)?;
+        let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
+        let mut found = found.flatten();
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let first = frames.first().map(|frame| frame.camera.pose);
         let steps = self.refine.steps();

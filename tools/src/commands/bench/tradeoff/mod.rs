@@ -3,7 +3,6 @@ mod drawn;
 mod figures;
 mod page;
 mod point;
-mod refined;
 mod rounded;
 mod sweep;
 mod truth;
