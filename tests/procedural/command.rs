@@ -1,4 +1,4 @@
-use zipsplat_cli::procedural::shards::Header;
+use crate::stream::Header;
 use zipsplat_tests::command::zipsplat;
 
 #[test]

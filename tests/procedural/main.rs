@@ -7,6 +7,7 @@ mod pictures;
 mod rays;
 mod refined;
 mod storage;
+mod stream;
 
 use zipsplat_cli::procedural::{Capture, Options, Photos, Setup};
 

@@ -76,7 +76,7 @@ fn only_permissive_crops_are_read_and_show_in_scenes() {
     )
     .expect("a manifest");
     let photos = Photos::open(folder.path()).expect("one crop");
-    assert_eq!(photos.crops().iter().map(|crop| crop.file.as_str()).collect::<Vec<_>>(), ["free.png"]);
+    assert_eq!(photos.crops.iter().map(|crop| crop.file.as_str()).collect::<Vec<_>>(), ["free.png"]);
     let with = |photos: &Photos| {
         let setup = Setup::new(5, &options(2, 32), photos, &|| Ok(())).expect("options");
         setup.shoot(photos, &|| Ok(())).expect("nothing stops it")

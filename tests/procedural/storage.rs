@@ -1,6 +1,7 @@
+use crate::stream::{Header, Record};
 use crate::{capture, options};
 use std::io::ErrorKind;
-use zipsplat_cli::procedural::shards::{Header, Record, write};
+use zipsplat_cli::procedural::shards::write;
 use zipsplat_cli::procedural::{Options, Photos, write_folder};
 use zipsplat_tests::prelude::*;
 

@@ -1,13 +1,13 @@
 """Times the forward pass in PyTorch (tools/train/model.py), for `zipsplat bench forward --pytorch`.
 
-    python pytorch_forward.py --architecture JSON --views 4,8 --ratio 1,0.5 --size 252x252 --warmup 5 --repeats 20
+    python pytorch_forward.py ARCHITECTURE WARMUP REPEATS WIDTHxHEIGHT VIEWS:RATIO...
 
-Prints JSON: per number of views, ratio and precision the milliseconds of each run and, on GPUs, the
+ARCHITECTURE is the engine's, as JSON. Prints JSON: per number of views, ratio and precision the milliseconds of each run and, on GPUs, the
 peak memory in bytes. Weights are random.
 """
 
-import argparse
 import gc
+import sys
 
 import torch
 
@@ -27,19 +27,11 @@ PRECISIONS = {
 
 @torch.inference_mode()
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--architecture", required=True, help="the engine's Architecture as JSON")
-    parser.add_argument("--views", required=True, type=lambda text: [int(part) for part in text.split(",")])
-    parser.add_argument("--ratio", required=True, type=lambda text: [float(part) for part in text.split(",")],
-                        help="one for each number of views")  # fmt: skip
-    parser.add_argument("--size", required=True, type=lambda text: [int(part) for part in text.split("x")])
-    parser.add_argument("--warmup", type=int, default=5)
-    parser.add_argument("--repeats", type=int, default=20)
-    args = parser.parse_args()
-
-    width, height = args.size
+    architecture, warmup, repeats, size, *cases = sys.argv[1:]
+    warmup, repeats = int(warmup), int(repeats)
+    width, height = map(int, size.split("x"))
     with torch.device(DEVICE):  # on a GPU for speed
-        model = network.ZipSplat(Architecture.from_json(args.architecture)).eval()
+        model = network.ZipSplat(Architecture.from_json(architecture)).eval()
     rows = []
     for name in PRECISIONS if DEVICE == "cuda" else ("f32", "bf16"):
         autocast, tf32, compiled = PRECISIONS[name]
@@ -48,7 +40,9 @@ def main():
             # By block, as in training: the whole model would recompile for every number of views.
             for kind in (network.Block, network.CrossBlock):
                 kind.forward = torch.compile(kind.forward, dynamic=True)
-        for views, ratio in zip(args.views, args.ratio):
+        for case in cases:
+            views, ratio = case.split(":")
+            views, ratio = int(views), float(ratio)
             images = torch.rand(1, views, 3, height, width, device=DEVICE)
             if DEVICE == "cuda":
                 gc.collect()
@@ -61,7 +55,7 @@ def main():
 
             row = {"precision": name, "views": views, "ratio": ratio}
             try:
-                row["ms"] = measure(forward, args.warmup, args.repeats)
+                row["ms"] = measure(forward, warmup, repeats)
                 row["peak_bytes"] = torch.cuda.max_memory_allocated() if DEVICE == "cuda" else None
             except torch.cuda.OutOfMemoryError:
                 row["failed"] = "out of memory"

@@ -56,32 +56,11 @@ def packages(package: str, target: str) -> list[dict]:
 
 def is_allowed(expression: str) -> bool:
     """Whether allowed licenses satisfy an SPDX expression: all of an AND, one of an OR."""
-    expression = expression.replace("/", " OR ")
-    tokens = re.findall(r"\(|\)|[^\s()]+(?: WITH [^\s()]+)?", expression)
-
-    def either() -> bool:
-        met = both()
-        while tokens and tokens[0] == "OR":
-            tokens.pop(0)
-            met = both() or met
-        return met
-
-    def both() -> bool:
-        met = one()
-        while tokens and tokens[0] == "AND":
-            tokens.pop(0)
-            met = one() and met
-        return met
-
-    def one() -> bool:
-        token = tokens.pop(0)
-        if token != "(":
-            return token in ALLOWED
-        met = either()
-        tokens.pop(0)
-        return met
-
-    return either()
+    operators = {"AND": "and", "OR": "or"}
+    term = r"[^\s()]+(?: WITH [^\s()]+)?"
+    met = re.sub(term, lambda name: operators.get(name[0], str(name[0] in ALLOWED)), expression.replace("/", " OR "))
+    # Only True, False, and, or, parentheses, which bind as in SPDX.
+    return bool(eval(met))
 
 
 def checksums() -> dict[tuple[str, str], str]:

@@ -60,10 +60,6 @@ pub fn plan_summary(layout: &BlockLayout) -> Option<String> {
     (*count > 1).then(|| format!("{count} blocks of {}, {overlap} shared by neighbors", counted(*size, "view")))
 }
 
-pub fn plan_as_json(layout: &BlockLayout) -> Value {
-    json!({ "count": layout.count, "size": layout.size, "overlap": layout.overlap })
-}
-
 /// `None` for one block.
 pub fn summary(blocks: &[Block], seams: &[Seam]) -> Option<String> {
     let fewest = seams.iter().map(|seam| seam.shared_patches).min()?;

@@ -25,7 +25,7 @@ use zipsplat::{
 };
 
 pub struct Choice {
-    poses: Capture,
+    pub poses: Capture,
     inputs: Vec<usize>,
     targets: Vec<usize>,
     pub masks: Option<Masks>,
@@ -144,14 +144,6 @@ impl Choice {
         Ok(digest(&parts))
     }
 
-    pub fn notes(&self) -> &[String] {
-        &self.poses.warnings
-    }
-
-    pub fn cloud(&self) -> Option<&Path> {
-        self.poses.points.as_deref()
-    }
-
     /// Maps to the first input's world and a unit.
     pub fn points(&self, scene_scale: &SceneScale) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
@@ -211,14 +203,6 @@ impl ViewSplit {
         self.views.note.clone().into_iter().chain(scale_warning(&self.scene_scale))
     }
 
-    pub fn images(&self) -> Vec<Image> {
-        self.views.images.clone()
-    }
-
-    pub fn cameras(&self) -> Vec<Camera> {
-        self.views.cameras.clone()
-    }
-
     pub fn training_views(&self) -> (Vec<Image>, Vec<Camera>) {
         self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
     }
@@ -252,7 +236,8 @@ impl ViewSplit {
     }
 
     fn score(&self, view: &Posed, drawn: &[f32]) -> Score {
-        let (truth, near) = (values(&view.image), values(&alike(&self.nearest(view).image, &view.image)));
+        let near = resize_lanczos(&self.nearest(view).image, view.image.width, view.image.height);
+        let (truth, near) = (values(&view.image), values(&near.expect("neither is empty")));
         let ssim = metrics::masked_ssim(&view.image, drawn, &truth);
         let [drawn, truth, near] = [drawn, &truth, &near].map(|values| view.image.kept(values));
         Score {
@@ -265,10 +250,6 @@ impl ViewSplit {
             color_corrected_psnr: None,
         }
     }
-}
-
-fn alike(image: &Image, to: &Image) -> Image {
-    resize_lanczos(image, to.width, to.height).expect("neither is empty")
 }
 
 /// `[height][width][rgb]` in 0..1.

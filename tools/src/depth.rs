@@ -19,7 +19,7 @@ use zipsplat::{
     features::PixelValues,
     gpu::Device,
     ops::Precision,
-    reconstruct::{KvPool, Ratio},
+    reconstruct::KvPool,
     types::{
         Camera, Fitting, Image, Masks, Pose, Scene, bounded_views,
         poses::{CaptureView, read_cloud},
@@ -36,7 +36,7 @@ pub const DEPTH_WEIGHTS: &str = "weights of Depth Anything 3 or VGGT";
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
 pub struct CamerasFrom {
     /// Source of the cameras that a depth network estimates
-    #[arg(long, value_enum, value_name = "HOW", default_value = "decoder")]
+    #[arg(long, alias = "by", value_enum, value_name = "HOW", default_value = "decoder")]
     camera_source: CameraSource,
     /// Estimate a focal length per photo, different along x and y; by default photos of equal size,
     /// camera and zoom share the median weighted by depth confidence
@@ -113,10 +113,10 @@ pub struct PredictedViews {
 
 pub struct DepthPredictor {
     model: DepthModel,
-    precision: Precision,
+    pub precision: Precision,
     input: InputSize,
     cameras: CamerasFrom,
-    request: DepthOptions,
+    pub request: DepthOptions,
     loading: Duration,
 }
 
@@ -160,11 +160,11 @@ impl<'a> PredictorOptions<'a> {
     }
 
     pub fn read(&self, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<PreparedPhotos> {
-        self.input().read(photos, known, self.masks.as_ref(), stage)
+        read(self.input(), photos, known, self.masks.as_ref(), stage)
     }
 
     fn input(&self) -> InputSize {
-        InputSize { side: self.side, fitting: self.checkpoint.architecture().fitting() }
+        (self.side, self.checkpoint.architecture().fitting())
     }
 
     pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<DepthPredictor> {
@@ -178,32 +178,29 @@ impl<'a> PredictorOptions<'a> {
     }
 }
 
-#[derive(Clone, Copy)]
-struct InputSize {
-    side: Option<u32>,
-    fitting: Fitting,
-}
+/// Longer side of the network's input, if not its own.
+type InputSize = (Option<u32>, Fitting);
 
-impl InputSize {
-    fn read(
-        self,
-        photos: &[PathBuf],
-        known: &[&CaptureView],
-        masks: Option<&Masks>,
-        stage: &Stage<'_>,
-    ) -> Result<PreparedPhotos> {
-        let opened = AtomicUsize::new(0);
-        // Photos of different sizes may be opened twice.
-        let open = |i: usize| {
-            let photo = photos::open(&photos[i], known.get(i), masks)?;
-            let opened = 1 + opened.fetch_add(1, Ordering::Relaxed);
-            stage.reach((opened as f64 / photos.len() as f64).min(1.0))?;
-            Ok(photo)
-        };
-        let views = bounded_views(photos.len(), open, self.fitting, self.side)?;
-        let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
-        Ok(PreparedPhotos { photos: photos.to_vec(), views, known_cameras })
-    }
+fn read(
+    (side, fitting): InputSize,
+    photos: &[PathBuf],
+    known: &[&CaptureView],
+    masks: Option<&Masks>,
+    stage: &Stage<'_>,
+) -> Result<PreparedPhotos> {
+    let opened = AtomicUsize::new(0);
+    // Photos of different sizes may be opened twice.
+    let open = |i: usize| {
+        let photo = photos::open(&photos[i], known.get(i), masks)?;
+        let opened = 1 + opened.fetch_add(1, Ordering::Relaxed);
+        stage.reach((opened as f64 / photos.len() as f64).min(1.0))?;
+        Ok(photo)
+    };
+    let views = bounded_views(photos.len(), open, fitting, side)?;
+    let camera = |(frame, view): (&&CaptureView, &View)| view.map.camera(&frame.camera, &frame.name);
+    let cameras = || known.iter().zip(&views).map(camera).collect::<Result<Vec<_>>>();
+    let known_cameras = (!known.is_empty()).then(cameras).transpose()?;
+    Ok(PreparedPhotos { photos: photos.to_vec(), views, known_cameras })
 }
 
 impl PreparedPhotos {
@@ -221,20 +218,18 @@ impl DepthPredictor {
         masks: Option<&Masks>,
         stage: &Stage<'_>,
     ) -> Result<PreparedPhotos> {
-        self.input.read(photos, known, masks, stage)
+        read(self.input, photos, known, masks, stage)
     }
 
-    pub fn keep(&mut self, ratio: Ratio) {
-        self.request.ratio = ratio;
-    }
-
-    /// Sets the ratio and the token selection of further predictions.
-    pub fn select(&mut self, quality: &Quality) {
-        (self.request.ratio, self.request.token_selection) = (quality.ratio, quality.token_selection.clone());
-    }
-
-    pub fn precision(&self) -> Precision {
-        self.precision
+    /// Prepares photos and predicts in one stage; returns its time.
+    pub fn see(
+        &self,
+        session: &mut Session<'_>,
+        photos: &[PathBuf],
+        known: &[&CaptureView],
+        masks: Option<&Masks>,
+    ) -> Result<(PredictedViews, Duration)> {
+        session.stage("depth", |stage| self.predict(self.prepare(photos, known, masks, stage)?, stage))
     }
 
     pub fn predict(&self, prepared: PreparedPhotos, stage: &Stage<'_>) -> Result<PredictedViews> {
@@ -354,9 +349,4 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
     let (stays, goes): (Vec<_>, Vec<_>) = std::mem::take(list).into_iter().zip(kept).partition(|(_, kept)| **kept);
     *list = stays.into_iter().map(|(item, _)| item).collect();
     goes.into_iter().map(|(item, _)| item).collect()
-}
-
-fn of_views(frames: &[&CaptureView], views: &[View]) -> Result<Vec<Camera>> {
-    let camera = |(frame, view): (&&CaptureView, &View)| view.map.camera(&frame.camera, &frame.name);
-    frames.iter().zip(views).map(camera).collect()
 }

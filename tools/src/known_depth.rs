@@ -8,7 +8,7 @@ use crate::{
     outputs::DEPTH_LEVELS,
     photos::{self, unique_stems},
     released::open_depth,
-    session::Session,
+    session::{Session, Stage},
     stamp::{digest, stamp},
 };
 use exr::prelude::{MetaData, ReadChannels, ReadLayers, Vec2};
@@ -114,7 +114,8 @@ impl KnownDepth {
     }
 }
 
-pub struct WithDepth<'a, P>(pub P, pub Option<&'a KnownDepth>);
+/// Photos with any known depth. After a cancellation of the stage they are not opened.
+pub struct WithDepth<'a, P>(pub P, pub Option<&'a KnownDepth>, pub Option<&'a Stage<'a>>);
 
 impl<P: Photos> Photos for WithDepth<'_, P> {
     fn count(&self) -> usize {
@@ -126,6 +127,7 @@ impl<P: Photos> Photos for WithDepth<'_, P> {
     }
 
     fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
+        self.2.map_or(Ok(()), Stage::check)?;
         self.0.open(i)
     }
 

@@ -2,42 +2,13 @@
 
 use std::ffi::OsString;
 
-/// Options of some commands, or of all if none is named.
-const OPTIONS: [(&[&str], &str, &str); 36] = [
-    (&[], "--memory", "--max-memory"),
-    (&[], "--select", "--token-selection"),
-    (&[], "--pool", "--kv-pool"),
-    (&["weights get"], "--keep", "--keep-download"),
-    (&[], "--keep", "--max-gaussians-per-token"),
+/// Options of some commands, or of all if none is named. Options that have one meaning are aliases.
+const OPTIONS: [(&[&str], &str, &str); 7] = [
     (&["info"], "--poses", "--cameras=capture"),
     (&[], "--poses", "--cameras"),
     (&["batch"], "--posed", "--cameras=capture"),
-    (&[], "--unit", "--scene-scale"),
-    (&[], "--fit", "--crop"),
-    (&[], "--start", "--init"),
-    (&[], "--hold-out", "--holdout-views"),
-    (&[], "--grow", "--max-gaussians"),
-    (&[], "--refine-cameras", "--optimize-cameras"),
-    (&[], "--refined-cameras", "--cameras-out"),
-    (&[], "--refine-size", "--max-image-size"),
-    (&[], "--find-size", "--matching-size"),
-    (&[], "--pairs", "--matching"),
-    (&[], "--by", "--camera-source"),
-    (&["cameras"], "--with", "--method"),
-    (&["refine"], "--batch", "--views-per-step"),
     (&["refine"], "--size", "--max-image-size"),
     (&SIZED, "--size", "--input-size"),
-    (&["view"], "--exact", "--lossless"),
-    (&[], "--group", "--gaussians-per-token"),
-    (&["render"], "--points", "--point-size"),
-    (&["depth"], "--points", "--max-points"),
-    (&["depth"], "--metres", "--metric"),
-    (&["depth"], "--truth", "--ground-truth"),
-    (&["eval"], "--world", "--scene-frame"),
-    (&["eval"], "--whole", "--full-images"),
-    (&["eval"], "--score-size", "--eval-size"),
-    (&["eval"], "--gap", "--frame-range"),
-    (&["eval"], "--disturb", "--pose-noise"),
     (&["info"], "--plan", "--dry-run"),
     (&["info"], "--all", "--explain"),
 ];

@@ -4,7 +4,6 @@
 
 pub mod align;
 mod animation;
-mod antialiasing;
 mod blocks;
 mod cameras;
 mod capture;
@@ -149,11 +148,11 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
     };
     let mut session = Session::new(name.unwrap_or_default(), global, terminal);
     match command.run(&mut session) {
-        Ok(()) => session.code(),
+        Ok(()) => session.code,
         Err(error) => {
-            let code = exit_code(&error);
+            let (kind, code) = class(&error);
             if code != 0 {
-                session.complain(&error, code);
+                session.complain(&error, kind, code);
             }
             code
         }
@@ -163,22 +162,28 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
 /// 128 plus SIGINT.
 const CANCELLED: u8 = 130;
 
-fn exit_code(error: &Error) -> u8 {
+/// Kind of an error, as in --json, and its exit code.
+fn class(error: &Error) -> (&'static str, u8) {
     match error {
-        Error::Argument { .. } | Error::Format { .. } | Error::Weights { .. } => 3,
+        Error::Argument { .. } => ("argument", 3),
+        Error::Format { .. } => ("format", 3),
+        Error::Weights { .. } => ("weights", 3),
         Error::Io { source, .. } => match source.kind() {
             // The reader of our output is done.
-            ErrorKind::BrokenPipe => 0,
+            ErrorKind::BrokenPipe => ("io", 0),
             ErrorKind::NotFound
             | ErrorKind::PermissionDenied
             | ErrorKind::NotADirectory
             | ErrorKind::IsADirectory
             | ErrorKind::InvalidInput
-            | ErrorKind::InvalidFilename => 3,
-            _ => 1,
+            | ErrorKind::InvalidFilename => ("io", 3),
+            _ => ("io", 1),
         },
-        Error::NoDevice(_) | Error::DeviceLost | Error::Memory { .. } => 4,
-        Error::Cancelled => CANCELLED,
-        _ => 1,
+        Error::NoDevice(_) => ("no_device", 4),
+        Error::DeviceLost => ("device_lost", 4),
+        Error::Memory { .. } => ("memory", 4),
+        Error::Cancelled => ("cancelled", CANCELLED),
+        Error::Driver { .. } => ("driver", 1),
+        _ => ("internal", 1),
     }
 }

@@ -7,6 +7,7 @@ use crate::{
     npy,
     options::{ArithmeticOption, Network, Size, Weights},
     session::Session,
+    stamp::hex,
     table::counted,
     views::Crop,
 };
@@ -284,7 +285,7 @@ fn hash(scene: &Scene) -> String {
     for values in fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]) {
         hash.update(bytemuck::cast_slice(values));
     }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    hex(&hash.finalize())
 }
 
 fn fitted(camera: &Camera) -> Camera {

@@ -97,11 +97,11 @@ pub(crate) struct LpipsOption {
     /// Network of LPIPS; `python3 tools/lpips.py` downloads its weights [default: vgg if available,
     /// else none; with --protocol vgg]
     #[arg(long, value_enum, value_name = "NETWORK")]
-    lpips: Option<Network>,
+    pub lpips: Option<Network>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Network {
+pub(crate) enum Network {
     /// VGG16, as in the paper
     Vgg,
     /// AlexNet, ten times as fast
@@ -128,10 +128,6 @@ impl LpipsOption {
         }
     }
 
-    pub fn is_default(&self) -> bool {
-        self.lpips.is_none()
-    }
-
     /// Opens [`LpipsOption::file`], with `gradients` or for the distance alone.
     pub fn open(&self, device: &Device, gradients: bool, required: bool) -> Result<Option<Perceptual>> {
         let found = self.file(device.cache_dir(), required)?;
@@ -140,19 +136,13 @@ impl LpipsOption {
 }
 
 /// LPIPS of a picture and `image`, both gray where its mask ignores pixels, per kept fraction;
-/// `None` as [`lpips`].
+/// `None` without a network, or if the pictures, `[height][width][rgb]` in 0..1, are too small.
 pub fn masked_lpips(network: Option<&mut Perceptual>, image: &Image, picture: &[f32]) -> Result<Option<f64>> {
+    let size = [image.width, image.height];
+    let Some(network) = network.filter(|network| size[0].min(size[1]) >= network.network().least_side()) else {
+        return Ok(None);
+    };
     let [a, b] = hidden(image, picture, &values(image));
     let kept = image.kept(&image.rgb).len() as f64 / image.rgb.len() as f64;
-    Ok(lpips(network, [&a, &b], [image.width, image.height])?.map(|distance| distance / kept))
-}
-
-/// `None` without a network, or if the pictures, `[height][width][rgb]` in 0..1, are too small.
-pub fn lpips(network: Option<&mut Perceptual>, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<Option<f64>> {
-    match network {
-        Some(network) if size[0].min(size[1]) >= network.network().least_side() => {
-            network.distance(pictures, size).map(Some)
-        }
-        _ => Ok(None),
-    }
+    Ok(Some(network.distance([&a, &b], size)? / kept))
 }

@@ -1,5 +1,4 @@
 use crate::{
-    antialiasing::Antialiasing,
     depth::DEPTH_WEIGHTS,
     released::{self, is_of_depth, open_whole_depth},
     session::Session,
@@ -12,7 +11,6 @@ use zipsplat::{
     ops::{Arithmetic, Precision},
     reconstruct::{KvPool, Ratio, ReconstructOptions, Shape, TokenSelection},
     stages::cluster::auto_ratio,
-    tune::KernelChoice,
     types::{Camera, Image, Scene, open_file},
     weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
@@ -32,7 +30,7 @@ pub struct Weights {
 impl Weights {
     pub fn open(&self) -> Result<Checkpoint> {
         match &self.weights {
-            Some(weights) => self.open_as(weights),
+            Some(weights) => open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS),
             None => Checkpoint::builtin(),
         }
     }
@@ -59,10 +57,6 @@ impl Weights {
 
     pub fn is_builtin(&self) -> bool {
         self.weights.as_deref().is_none_or(is_builtin)
-    }
-
-    pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
-        open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS)
     }
 }
 
@@ -128,6 +122,10 @@ pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<
     if given { Err(Error::argument(option, found, format!("{expected}, which it is for"))) } else { Ok(()) }
 }
 
+pub fn refuse_all<const N: usize>(options: [(&str, bool); N], found: &str, expected: &str) -> Result<()> {
+    options.into_iter().try_for_each(|(option, given)| refuse(option, given, found, expected))
+}
+
 #[derive(Args, Clone, Debug)]
 pub struct Quality {
     /// Fraction of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
@@ -135,22 +133,36 @@ pub struct Quality {
     pub ratio: Ratio,
     /// Selection of tokens: kmeans[:ROUNDS], mutual (nearest neighbors across views), stride,
     /// random[:SEED], or a text file of indices, whose number replaces --ratio
-    #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
+    #[arg(long, alias = "select", value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub token_selection: TokenSelection,
     /// Keys and values of the backbone's attention across views: S from 1 to 4 for means of SxS
     /// patches, local for the own view only, auto for a rule by the number of views; local/2 for
     /// the first block and the others; with +own and +first, the own and the first view are whole.
     /// Fewer are faster and less exact
-    #[arg(long, value_name = "RULE", default_value = "1")]
+    #[arg(long, alias = "pool", value_name = "RULE", default_value = "1")]
     pub kv_pool: KvPool,
     /// Keep only the N most visible Gaussians per token
-    #[arg(long, alias = "max-gaussians-per-patch", value_name = "N|all", default_value = "all")]
+    #[arg(long, aliases = ["max-gaussians-per-patch", "keep"], value_name = "N|all", default_value = "all")]
     max_gaussians_per_token: Keep,
     /// Network input size in pixels, multiples of 14 [default: the trained size]
     #[arg(long, value_name = "WxH")]
-    input_size: Option<Size>,
+    pub input_size: Option<Size>,
     #[command(flatten)]
     pub arithmetic: ArithmeticOption,
+}
+
+#[derive(Args, Clone, Copy)]
+pub struct Antialiasing {
+    /// Whether the scene is antialiased: pictures fade Gaussians thinner than a pixel, as in
+    /// Mip-Splatting [default: as its file states]
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub antialiased: Option<bool>,
+}
+
+impl Antialiasing {
+    pub fn refuse(self, found: &str, expected: &str) -> Result<()> {
+        refuse("--antialiased", self.antialiased.is_some(), found, expected)
+    }
 }
 
 #[derive(Args)]
@@ -174,7 +186,7 @@ impl SceneInput {
 
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| Scene::open_unchecked(path))?;
-        scene.antialiased = self.antialiased.given().unwrap_or(scene.antialiased);
+        scene.antialiased = self.antialiased.antialiased.unwrap_or(scene.antialiased);
         if !self.drop_invalid {
             let refused =
                 |error| Error::format(path, None, format!("{error}; --drop-invalid leaves such Gaussians out"));
@@ -215,16 +227,8 @@ impl Quality {
         }
     }
 
-    pub fn asked_size(&self) -> Option<Size> {
-        self.input_size
-    }
-
     pub fn side(&self) -> Option<u32> {
         self.input_size.map(|Size(width, height)| width.max(height))
-    }
-
-    pub fn group(&self, architecture: &Architecture) -> usize {
-        self.max_gaussians_per_token.0.map_or(architecture.gaussians_per_token, |keep| keep as usize)
     }
 
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
@@ -296,21 +300,14 @@ impl PrecisionName {
 }
 
 impl ArithmeticOption {
-    /// Notes kernels that failed their test.
     pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
-        let KernelChoice { precision, arithmetic, warnings: notes } = session.choose(device, self.asked())?;
-        notes.iter().for_each(|note| session.note(note));
-        Ok((precision, arithmetic))
+        session.choose(device, self.precision.precision())
     }
 
     pub fn planned(&self, limits: &Limits) -> (Precision, Arithmetic) {
-        let precision = self.asked().unwrap_or(Precision::best(limits));
+        let precision = self.precision.precision().unwrap_or(Precision::best(limits));
         let arithmetic = Arithmetic::of(precision, limits);
         arithmetic.map_or((Precision::Fp32, Arithmetic::EXACT), |arithmetic| (precision, arithmetic))
-    }
-
-    fn asked(&self) -> Option<Precision> {
-        self.precision.precision()
     }
 }
 

@@ -1,5 +1,6 @@
 //! Checked before any work, written atomically.
 
+use crate::{session::Session, stamp::entries, table::counted};
 use clap::Args;
 use png::{BitDepth, ColorType, Compression};
 use serde::Serialize;
@@ -111,9 +112,7 @@ pub fn is_own(path: &Path) -> bool {
 /// Removes `own` files of a longer earlier run: names of at least three digits, from `count` on,
 /// with `extension`.
 pub fn remove_stale(folder: &Path, count: usize, extension: &str, own: impl Fn(&Path) -> bool) -> Result<()> {
-    let failed = |error| Error::io(folder, error);
-    for entry in folder.read_dir().map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
+    for path in entries(folder)? {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let digits =
             name.split('.').next().filter(|digits| digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit()));
@@ -191,6 +190,14 @@ impl Failure {
     }
 }
 
+/// Notes failures with their file. The command then ends with exit code 1.
+pub fn note_failures(session: &mut Session<'_>, folder: &Path, failures: &[Failure], what: &str) {
+    if !failures.is_empty() {
+        session.note(format!("{}: {}", folder.join(FAILURES).display(), counted(failures.len(), what)));
+        session.code = 1;
+    }
+}
+
 pub fn and_others(mut text: String, others: &[(usize, &str)]) -> String {
     others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
     text
@@ -228,12 +235,8 @@ pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result
     save_png(path, [width, height], ColorType::Grayscale, BitDepth::Eight, &levels, None)
 }
 
-/// 16-bit gray with its scale, [`DEPTH_LEVELS`] per world unit, saturated.
-pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
-    save_depth_levels(path, [width, height], depth, DEPTH_LEVELS)
-}
-
-pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32) -> Result<()> {
+/// 16-bit gray with its scale, saturated.
+pub fn save_depth(path: &Path, size: [u32; 2], depth: &[f32], levels: f32) -> Result<()> {
     // Casting saturates; PNG is big-endian.
     let rounded: Vec<u8> = depth.iter().flat_map(|d| ((d * levels).round() as u16).to_be_bytes()).collect();
     save_png(path, size, ColorType::Grayscale, BitDepth::Sixteen, &rounded, Some(levels))

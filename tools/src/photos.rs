@@ -6,6 +6,7 @@ use crate::{
     outputs::Overwrite,
     panorama::{self, CameraModel},
     session::{Session, Stage},
+    stamp::entries,
     table::counted,
     video::{FRAMES, FrameFolder, is_video, sharpest_frames},
 };
@@ -36,7 +37,7 @@ pub struct PhotoArgs {
     #[arg(required = true)]
     pub photos: Vec<PathBuf>,
     #[command(flatten)]
-    reading: Reading,
+    pub reading: Reading,
 }
 
 #[derive(Args)]
@@ -52,18 +53,6 @@ pub struct Reading {
     /// equirectangular for photos of 2:1 whose GPano metadata says so, else pinhole]
     #[arg(long, value_enum, value_name = "MODEL")]
     pub camera_model: Option<CameraModel>,
-}
-
-impl PhotoArgs {
-    pub fn list(
-        &self,
-        session: &mut Session<'_>,
-        frames: Option<u32>,
-        unposed: Option<&MaskArgs>,
-        named_in: Option<(&Path, Overwrite)>,
-    ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
-        self.reading.list(session, (&self.photos, frames), unposed, named_in)
-    }
 }
 
 impl Reading {
@@ -114,6 +103,14 @@ impl Reading {
         let photos = panorama::cut(session, &photos, &is_panorama, masks, place.path())?;
         Ok((photos, Some(place)))
     }
+}
+
+/// Photos, and their cameras if known.
+pub struct Photographed {
+    pub photos: Vec<PathBuf>,
+    pub known: Option<KnownCameras>,
+    /// Of converted photos.
+    pub folder: Option<FrameFolder>,
 }
 
 /// Photos of folders are in natural order. Notes skipped files, except hidden ones.
@@ -212,10 +209,8 @@ fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
 
 /// Excludes hidden files, such as macOS's `._000.jpg`.
 fn visible(folder: &Path) -> Result<Vec<PathBuf>> {
-    let failed = |error| Error::io(folder, error);
     let is_hidden = |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-    let entries = folder.read_dir().map_err(failed)?.map(|entry| Ok(entry.map_err(failed)?.path()));
-    entries.filter(|path| !path.as_ref().is_ok_and(is_hidden)).collect()
+    Ok(entries(folder)?.into_iter().filter(|path| !is_hidden(path)).collect())
 }
 
 fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {

@@ -1,6 +1,6 @@
 use crate::{
     animation::{Animation, Encoder},
-    outputs,
+    outputs::{self, DEPTH_LEVELS},
     session::Stage,
 };
 use rayon::prelude::*;
@@ -156,7 +156,7 @@ fn save(folder: &Path, number: usize, frame: &RenderOutput, image: &Image, frame
     let path = |layer: &str| file(folder, number, layer);
     outputs::save_picture(&path(""), image)?;
     if let Some(depth) = &frame.depth {
-        outputs::save_depth(&path(".depth"), width, height, depth)?;
+        outputs::save_depth(&path(".depth"), [width, height], depth, DEPTH_LEVELS)?;
     }
     if let Some(alpha) = &frame.alpha {
         outputs::save_alpha(&path(".alpha"), width, height, alpha)?;

@@ -7,7 +7,7 @@ use std::{
     path::Path,
     process::{Child, Command, ExitStatus, Stdio},
     sync::{
-        Mutex,
+        Mutex, MutexGuard, PoisonError,
         mpsc::{RecvTimeoutError, channel},
     },
     time::{Duration, Instant},
@@ -124,8 +124,9 @@ fn end_group(id: u32) {
     }
 }
 
-fn lock(started: &Mutex<Vec<u32>>) -> std::sync::MutexGuard<'_, Vec<u32>> {
-    started.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+/// Locks values that stay complete across a panic.
+pub fn lock<T>(values: &Mutex<T>) -> MutexGuard<'_, T> {
+    values.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) -> Result<()>) -> Result<ExitStatus> {

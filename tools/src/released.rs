@@ -9,8 +9,8 @@ use zipsplat::{
 pub struct Released {
     pub name: &'static str,
     pub what: &'static str,
-    pub license: &'static str,
-    pub terms: &'static str,
+    /// Name and terms.
+    pub license: (&'static str, &'static str),
     /// Approximate download size.
     pub bytes: u64,
     pub kind: Kind,
@@ -32,8 +32,7 @@ pub const RELEASED: [Released; 8] = [
     Released {
         name: "zipsplat",
         what: "ZipSplat on DA3-Giant, 1.4 G parameters, by the paper's authors",
-        license: "CC BY-NC",
-        terms: NO_COMMERCE,
+        license: ("CC BY-NC", NO_COMMERCE),
         bytes: 5_800_000_000,
         kind: Kind::Tokens,
         repository: "veichta/zipsplat",
@@ -43,14 +42,12 @@ pub const RELEASED: [Released; 8] = [
     Released {
         what: "Depth Anything 3, 34 M parameters",
         license: APACHE,
-        terms: FREE,
         bytes: 140_000_000,
         ..of_depth("da3-small", "depth-anything/DA3-SMALL", "da3-small.safetensors")
     },
     Released {
         what: "Depth Anything 3, 135 M parameters",
         license: APACHE,
-        terms: FREE,
         bytes: 540_000_000,
         ..of_depth("da3-base", "depth-anything/DA3-BASE", "da3-base.safetensors")
     },
@@ -67,14 +64,12 @@ pub const RELEASED: [Released; 8] = [
     Released {
         what: "Depth Anything 3 of each photo by itself, 334 M parameters",
         license: APACHE,
-        terms: FREE,
         bytes: 1_340_000_000,
         ..of_depth("da3mono-large", "depth-anything/DA3MONO-LARGE", "da3mono-large.safetensors")
     },
     Released {
         what: "Depth Anything 3 of each photo by itself, in meters, 334 M parameters",
         license: APACHE,
-        terms: FREE,
         bytes: 1_340_000_000,
         ..of_depth("da3metric-large", "depth-anything/DA3METRIC-LARGE", "da3metric-large.safetensors")
     },
@@ -85,8 +80,7 @@ pub const RELEASED: [Released; 8] = [
     },
 ];
 
-const APACHE: &str = "Apache-2.0";
-const FREE: &str = "any use; keep the notices";
+const APACHE: (&str, &str) = ("Apache-2.0", "any use; keep the notices");
 const NO_COMMERCE: &str = "name the authors; no commercial use";
 
 /// Takes the stricter of two licenses.
@@ -94,8 +88,7 @@ const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'stati
     Released {
         name,
         what: "",
-        license: "CC BY-NC 4.0",
-        terms: NO_COMMERCE,
+        license: ("CC BY-NC 4.0", NO_COMMERCE),
         bytes: 0,
         kind: Kind::Depth,
         repository,

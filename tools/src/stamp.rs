@@ -28,12 +28,14 @@ pub fn hash_of_weights(weights: &Path) -> Result<String> {
         let mut file = File::open(file).map_err(|error| Error::io(file, error))?;
         std::io::copy(&mut file, &mut hash).map_err(|error| Error::io(weights, error))?;
     }
-    Ok(hex(hash))
+    Ok(hex(&hash.finalize()))
 }
 
-fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let entries = folder.read_dir().map_err(|error| Error::io(folder, error))?;
-    let mut entries: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+/// Paths in a folder, sorted.
+pub fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let failed = |error| Error::io(folder, error);
+    let entries = folder.read_dir().map_err(failed)?.map(|entry| Ok(entry.map_err(failed)?.path()));
+    let mut entries = entries.collect::<Result<Vec<_>>>()?;
     entries.sort();
     Ok(entries)
 }
@@ -41,11 +43,11 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
 pub fn digest(parts: &[String]) -> String {
     let mut hash = Sha256::new();
     parts.iter().for_each(|part| hash.update(part));
-    hex(hash)
+    hex(&hash.finalize())
 }
 
-fn hex(hash: Sha256) -> String {
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -7,15 +7,11 @@ pub struct Table {
 }
 
 impl Table {
-    pub fn new(left: usize, headings: &[&str]) -> Self {
+    pub fn new(left: usize, headings: &[impl ToString]) -> Self {
         Self { left, rows: vec![headings.iter().map(ToString::to_string).collect()] }
     }
 
-    pub fn of(left: usize, headings: &[String], lines: &[Vec<String>]) -> Self {
-        Self { left, rows: std::iter::once(headings.to_vec()).chain(lines.iter().cloned()).collect() }
-    }
-
-    pub fn row<const N: usize>(&mut self, cells: [String; N]) {
+    pub fn row(&mut self, cells: impl Into<Vec<String>>) {
         self.rows.push(cells.into());
     }
 }

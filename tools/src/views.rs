@@ -16,7 +16,7 @@ use zipsplat::{
 #[derive(Args, Debug)]
 pub struct CropOption {
     /// Part of a photo that the network sees, if its aspect ratio differs from --input-size
-    #[arg(long, value_enum, value_name = "HOW", default_value = "center")]
+    #[arg(long, alias = "fit", value_enum, value_name = "HOW", default_value = "center")]
     pub crop: Crop,
 }
 

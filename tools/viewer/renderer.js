@@ -255,6 +255,15 @@ class Renderer {
         return { program, uniforms };
     }
 
+    texture(format, width, height) {
+        const { gl } = this, texture = gl.createTexture();
+        gl.bindTexture(gl.TEXTURE_2D, texture);
+        gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+        return texture;
+    }
+
     quadArray() {
         const { gl } = this, array = gl.createVertexArray();
         const corners = Uint16Array.from({ length: 6 * BATCH }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
@@ -266,9 +275,7 @@ class Renderer {
     }
 
     pickBuffer() {
-        const { gl } = this, buffer = gl.createFramebuffer(), texture = gl.createTexture();
-        gl.bindTexture(gl.TEXTURE_2D, texture);
-        gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, 1, 1);
+        const { gl } = this, buffer = gl.createFramebuffer(), texture = this.texture(gl.RGBA32UI, 1, 1);
         gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
         return buffer;
@@ -279,12 +286,7 @@ class Renderer {
         const texture = (texels, format = gl.RGBA32UI) => {
             const height = Math.max(1, Math.ceil(texels / TEXTURE_WIDTH));
             if (height > most) throw new Error(`${count.toLocaleString("en")} Gaussians of degree ${degree} are more than this device can hold.`);
-            const texture = gl.createTexture();
-            gl.bindTexture(gl.TEXTURE_2D, texture);
-            gl.texStorage2D(gl.TEXTURE_2D, 1, format, TEXTURE_WIDTH, height);
-            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-            gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-            return texture;
+            return this.texture(format, TEXTURE_WIDTH, height);
         };
         const scene = { count, degree, antialiased, near, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
         this.fill(scene.gaussians, gaussians, 4);
@@ -327,11 +329,7 @@ class Renderer {
         gl.canvas.height = frame.height = height;
         frame.format = format;
         gl.deleteTexture(frame.texture);
-        frame.texture = gl.createTexture();
-        gl.bindTexture(gl.TEXTURE_2D, frame.texture);
-        gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
-        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+        frame.texture = this.texture(format, width, height);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, frame.texture, 0);
     }

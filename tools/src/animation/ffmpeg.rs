@@ -1,6 +1,6 @@
 use super::Encoder;
 use crate::{
-    process::{self, Running, failure, listen},
+    process::{Running, failure, listen},
     session::Stage,
 };
 use std::{
@@ -26,10 +26,6 @@ pub struct Ffmpeg {
     messages: Option<JoinHandle<String>>,
     // Dropped after the child, which still writes to it.
     file: Unfinished,
-}
-
-pub fn check(program: &Path) -> Result<()> {
-    process::check(program, "ffmpeg", "an installed ffmpeg for MP4 (see --ffmpeg); .gif and .apng need none")
 }
 
 impl Ffmpeg {

@@ -2,7 +2,7 @@ mod apng;
 mod ffmpeg;
 mod gif;
 
-use crate::session::Stage;
+use crate::{process::check, session::Stage};
 use std::{
     fmt::Display,
     path::{Path, PathBuf},
@@ -63,7 +63,7 @@ impl Animation {
             return Err(Error::argument(what, fps, format!("1 to {most}")));
         }
         if format == Format::Mp4 {
-            ffmpeg::check(ffmpeg)?;
+            check(ffmpeg, "ffmpeg", "an installed ffmpeg for MP4 (see --ffmpeg); .gif and .apng need none")?;
         }
         Ok(Self { path: path.into(), format, fps, ffmpeg: ffmpeg.into() })
     }

@@ -20,8 +20,9 @@ const FEATURES: u32 = 8192;
 const BLOCK: u32 = 8;
 
 pub struct Colmap {
-    program: PathBuf,
-    python: bool,
+    pub program: PathBuf,
+    /// By pycolmap, which cannot map keyframes.
+    pub python: bool,
     version: String,
 }
 
@@ -34,11 +35,11 @@ pub struct Searching {
     #[arg(long, value_name = "PROGRAM", conflicts_with = "colmap")]
     pub python: Option<PathBuf>,
     /// Pairs of photos to match [default: exhaustive for up to 100 photos, else sequential]
-    #[arg(long, value_enum, value_name = "WHICH")]
+    #[arg(long, alias = "pairs", value_enum, value_name = "WHICH")]
     pub matching: Option<Matching>,
     /// Longer side of the photos for camera estimation; COLMAP does not enlarge photos [default:
     /// 1600, 504 for Depth Anything 3, 518 for VGGT]
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
+    #[arg(long, alias = "find-size", value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
     pub matching_size: Option<u32>,
     #[command(flatten)]
     pub masks: MaskArgs,
@@ -160,14 +161,6 @@ impl Colmap {
         }
         // A traceback ends with the reason.
         Err(why(&version.lines().last().unwrap_or("prints nothing")))
-    }
-
-    pub fn program(&self) -> &Path {
-        &self.program
-    }
-
-    pub fn can_map_keyframes(&self) -> bool {
-        !self.python
     }
 
     /// `folder` has `images`, may have `masks`, `keyframes.txt` and `pairs.txt`, and gets

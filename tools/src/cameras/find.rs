@@ -10,6 +10,7 @@ use crate::{
     process,
     scratch::Scratch,
     session::Session,
+    stamp::entries,
     table::counted,
 };
 use clap::{Args, ValueEnum};
@@ -92,7 +93,7 @@ pub struct EstimatedCameras {
     pub(super) _work: Scratch,
 }
 
-pub(super) struct Log(NamedTempFile);
+pub(super) struct Log(pub NamedTempFile);
 
 struct Search<'a> {
     colmap: &'a Colmap,
@@ -216,7 +217,7 @@ impl<'a> Search<'a> {
         let default = if count > ALL_PAIRS { Matching::Sequential } else { Matching::Exhaustive };
         let pairs = searching.matching.unwrap_or(default);
         let side = searching.matching_size.unwrap_or(SIDE);
-        let most = if colmap.can_map_keyframes() { MAX_KEYFRAMES } else { count };
+        let most = if colmap.python { count } else { MAX_KEYFRAMES };
         let keyframes = if pairs == Matching::Sequential { work.choose_keyframes(most)? } else { count };
         let (log, output) = (Log::new()?, ColmapOutput::default());
         Ok(Self { colmap, work, pairs, side, keyframes, log, output, times: Vec::new() })
@@ -305,13 +306,10 @@ impl<'a> Search<'a> {
             words if words.is_empty() => String::new(),
             words => format!("; its last words: {words}"),
         };
-        match self.log.keep() {
-            Ok(log) => {
-                let why = format!("could not {}: {status}{last_words}; all of them: {}", step.name(), log.display());
-                process::failure(self.colmap.program(), &why, status)
-            }
-            Err(error) => error,
-        }
+        self.log.0.disable_cleanup(true);
+        let log = self.log.0.path().display();
+        let why = format!("could not {}: {status}{last_words}; all of them: {log}", step.name());
+        process::failure(&self.colmap.program, &why, status)
     }
 }
 
@@ -355,13 +353,8 @@ fn nothing(photos: usize, output: &ColmapOutput) -> Error {
 }
 
 fn model_folders(folder: &Path) -> Result<Vec<PathBuf>> {
-    let failed = |source| Error::io(folder, source);
-    let mut folders = Vec::new();
-    for entry in folder.read_dir().map_err(failed)? {
-        folders.push(entry.map_err(failed)?.path());
-    }
+    let mut folders = entries(folder)?;
     folders.retain(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
-    folders.sort();
     Ok(folders)
 }
 
@@ -385,14 +378,5 @@ impl Log {
 
     fn write(&mut self, line: &str) -> Result<()> {
         writeln!(self.0.as_file_mut(), "{line}").map_err(|source| Error::io(self.0.path(), source))
-    }
-
-    pub(super) fn path(&self) -> &Path {
-        self.0.path()
-    }
-
-    fn keep(&mut self) -> Result<PathBuf> {
-        self.0.disable_cleanup(true);
-        Ok(self.path().to_owned())
     }
 }

@@ -77,7 +77,7 @@ pub struct CameraArgs {
     /// Size of the pictures [default: that of --cameras, else of the first photo, at most 1280 a
     /// side, else 252x252]
     #[arg(long, value_name = "WxH")]
-    size: Option<Size>,
+    pub size: Option<Size>,
     /// Horizontal field of view in degrees [default: that of a file's cameras, else of the first
     /// photo if known, else 60]
     #[arg(long, value_name = "DEG")]
@@ -85,10 +85,6 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
-    pub fn size(&self) -> Option<Size> {
-        self.size
-    }
-
     /// Also returns notes. `world` is the scene file's.
     pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
         if let (Some(None), Some(photo)) = (&self.orbit, &self.relative_to) {

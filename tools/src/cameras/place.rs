@@ -62,7 +62,8 @@ impl Place<'_> {
             write_points(&points, &colored(cloud))?;
         }
         if let Some(log_text) = &found.log {
-            let log_text = std::fs::read(log_text.path()).map_err(|source| Error::io(log_text.path(), source))?;
+            let path = log_text.0.path();
+            let log_text = std::fs::read(path).map_err(|source| Error::io(path, source))?;
             write_atomic(&log, |out| out.write_all(&log_text))?;
         }
         let folder = cameras.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -43,7 +43,7 @@ pub struct Cameras {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     views: Option<u32>,
     /// Program or network that estimates the cameras
-    #[arg(long, value_enum, value_name = "FINDER", default_value = "colmap")]
+    #[arg(long, alias = "with", value_enum, value_name = "FINDER", default_value = "colmap")]
     method: Finder,
     /// Weights of the network, as for `depth`
     #[arg(long, value_name = "NAME|PATH|seeded:NAME", required_if_eq_any([("method", "da3"), ("method", "vggt")]))]
@@ -66,7 +66,8 @@ impl Cameras {
         let of_network = self.cameras != CamerasFrom::default();
         refuse("--camera-source or --per-view-focal", is_colmap && of_network, "COLMAP", why)?;
         let named_in = Some((&*self.output, self.overwrite));
-        let (photos, mut frames) = self.input.list(session, self.views, Some(&self.search.masks), named_in)?;
+        let (photos, mut frames) =
+            self.input.reading.list(session, (&self.input.photos, self.views), Some(&self.search.masks), named_in)?;
         self.model.check_names(&photos)?;
         let (search, depth_weights) = (self.search.clone(), self.weights.clone());
         let finding = Finding { search, cameras: self.cameras, depth_weights };

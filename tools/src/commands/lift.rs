@@ -46,11 +46,11 @@ pub struct Lift {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..), requires = "values")]
     labels: Option<u8>,
     /// Consecutive Gaussians per feature: 1, or those of a token
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, alias = "group", value_name = "N", default_value_t = 1)]
     gaussians_per_token: usize,
     /// Print the memory plan of VALUES and stop; --device none plans for a typical GPU
     #[arg(long, requires = "values", conflicts_with = "output")]
-    dry_run: bool,
+    pub dry_run: bool,
     /// File to write: .safetensors
     #[arg(long, short, value_name = "FILE", required_unless_present = "dry_run")]
     output: Option<PathBuf>,
@@ -61,10 +61,6 @@ pub struct Lift {
 }
 
 impl Lift {
-    pub fn plans(&self) -> bool {
-        self.dry_run
-    }
-
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let output = self.output.as_deref().unwrap_or(Path::new(""));
         if !self.dry_run {

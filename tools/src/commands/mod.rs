@@ -41,8 +41,8 @@ pub enum Command {
 impl Command {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let plans = match self {
-            Command::Reconstruct(command) => command.plans(),
-            Command::Lift(command) => command.plans(),
+            Command::Reconstruct(command) => command.dry_run,
+            Command::Lift(command) => command.dry_run,
             _ => false,
         };
         if session.plans_for_none() && !plans {

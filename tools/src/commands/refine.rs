@@ -1,7 +1,7 @@
 use crate::{
     cameras::{Finding, KnownCameras, Similarity, to_scene},
     explain::Explanation,
-    known_depth::WithDepth,
+    known_depth::KnownDepth,
     options::SceneInput,
     outputs::{self, Overwrite},
     panorama,
@@ -67,12 +67,12 @@ pub struct Refine {
     #[arg(long, value_name = "N|TIME", default_value = DEFAULT_LENGTH, value_parser = parse_steps)]
     steps: RefineTask,
     /// Photos per step
-    #[arg(long, value_name = "N", default_value_t = RefineOptions::default().views_per_step)]
+    #[arg(long, alias = "batch", value_name = "N", default_value_t = RefineOptions::default().views_per_step)]
     views_per_step: usize,
     #[command(flatten)]
     settings: RefineSettings,
     /// File for the refined cameras: a transforms.json in the world of the known cameras
-    #[arg(long, value_name = "FILE", requires = "optimize_cameras")]
+    #[arg(long, alias = "refined-cameras", value_name = "FILE", requires = "optimize_cameras")]
     cameras_out: Option<PathBuf>,
     /// Also print the settings, and each pass of a step with its time and memory
     #[arg(long)]
@@ -116,7 +116,7 @@ impl Refine {
         let is_in_place = scene.is_some_and(|scene| scene.canonicalize().ok() == self.output.canonicalize().ok());
         let is_repeatable = refinement::has_stable_cameras(&self.cameras) && !is_in_place;
         let checkpoint = is_repeatable.then(checkpoint).transpose()?;
-        let files = WithDepth(PhotoFiles::new(&photos, &frames, masks)?, known.as_ref());
+        let files = (PhotoFiles::new(&photos, &frames, masks)?, known.as_ref());
         let (refined, request) = self.refine(session, &device, &started, (files, &photos, checkpoint))?;
         let options = SaveOptions::default();
         let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
@@ -180,7 +180,7 @@ impl Refine {
         session: &mut Session<'_>,
         device: &Device,
         started: &Started,
-        (photos, paths, checkpoint): (WithDepth<'_, PhotoFiles<'_>>, &[PathBuf], Option<RefineCheckpoint>),
+        (photos, paths, checkpoint): ((PhotoFiles<'_>, Option<&KnownDepth>), &[PathBuf], Option<RefineCheckpoint>),
     ) -> Result<(RefineResult, RefineOptions)> {
         let request = RefineOptions {
             views_per_step: self.views_per_step,

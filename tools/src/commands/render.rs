@@ -4,7 +4,7 @@ use crate::{
     color,
     explain::Explanation,
     lifted, npy,
-    options::{SceneInput, Size, parse_length},
+    options::{SceneInput, parse_length},
     outputs::{self, DEPTH_LEVELS, Overwrite},
     pictures::{self, SHEET, Sinks},
     session::Session,
@@ -45,7 +45,7 @@ pub struct Render {
     #[command(flatten)]
     input: SceneInput,
     #[command(flatten)]
-    path: CameraArgs,
+    pub path: CameraArgs,
     /// Color behind the scene: red, green and blue from 0 to 1, '#rrggbb', or a basic CSS color
     /// such as white
     #[arg(long, value_name = "COLOR", default_value = "0,0,0", value_parser = color::parse)]
@@ -61,13 +61,13 @@ pub struct Render {
     #[arg(long)]
     normals: bool,
     /// Also write NNN.tokens.png: a color per token, which is N consecutive Gaussians
-    #[arg(long, value_name = "N")]
+    #[arg(long, alias = "group", value_name = "N")]
     gaussians_per_token: Option<NonZeroU32>,
     /// Also write NNN.features.npy: features of `lift`, f32 [height, width, channels]
     #[arg(long, value_name = "FILE", requires = "output", conflicts_with = "point_size")]
     features: Option<PathBuf>,
     /// Draw each Gaussian as an opaque dot of this width in the scene's unit
-    #[arg(long, value_name = "SIZE", value_parser = parse_length)]
+    #[arg(long, alias = "points", value_name = "SIZE", value_parser = parse_length)]
     point_size: Option<f64>,
     /// Also print the first picture's time and memory by pass, and why effects are skipped
     #[arg(long)]
@@ -92,11 +92,6 @@ pub struct Render {
 /// Full width at half maximum, in standard deviations.
 const WIDTH: f64 = 2.354_820_045;
 
-fn show_points(scene: &mut Scene, width: f64) {
-    scene.scales.fill([(width / WIDTH) as f32; 3]);
-    scene.opacities.fill(1.0);
-}
-
 #[derive(Clone, Copy, ValueEnum)]
 enum DepthKind {
     /// Mean visible depth
@@ -109,7 +104,10 @@ impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.check()?;
         let (mut scene, dropped) = self.input.read(session, &self.scene)?;
-        self.point_size.iter().for_each(|size| show_points(&mut scene, *size));
+        if let Some(size) = self.point_size {
+            scene.scales.fill([(size / WIDTH) as f32; 3]);
+            scene.opacities.fill(1.0);
+        }
         let world = read_world(&self.scene)?;
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
@@ -181,10 +179,6 @@ impl Render {
         self.report(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
-    pub fn size(&self) -> Option<Size> {
-        self.path.size()
-    }
-
     pub fn check(&self) -> Result<()> {
         self.sinks()?;
         let check = |folder| self.overwrite.check_replaced(pictures::files(folder, 1, &self.request()));
@@ -220,7 +214,7 @@ impl Render {
             normals: self.normals,
             token_group: self.gaussians_per_token,
             background: self.background,
-            antialiased: self.input.antialiased.given(),
+            antialiased: self.input.antialiased.antialiased,
             near: None,
         }
     }

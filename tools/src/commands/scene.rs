@@ -102,7 +102,7 @@ impl Scene {
             Ok((setup.shoot(photos, &go_on)?, wide.zip(images)))
         })?;
         session.stage("write", |_| {
-            write_folder(folder, &capture, photos.crops())?;
+            write_folder(folder, &capture, &photos.crops)?;
             wide.map_or(Ok(()), |(lens, images)| write_wide(folder, &capture, &lens, &images))?;
             let Some(path) = splats else { return Ok(()) };
             let world = World::from(Origin::Cameras(Pose::IDENTITY));

@@ -2,7 +2,7 @@ use crate::{
     heic::is_heic,
     html::data_url,
     lifted,
-    options::{Network, SceneInput, refuse},
+    options::{Network, SceneInput, refuse, refuse_all},
     outputs::{Overwrite, size_of},
     refinement::with_cameras,
     session::Session,
@@ -63,7 +63,7 @@ pub struct View {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Store scenes as PLY instead of SPZ: exact, up to ten times as large
-    #[arg(long, requires = "output")]
+    #[arg(long, alias = "exact", requires = "output")]
     lossless: bool,
     /// Cameras to show, in the first scene's world, as for render --cameras; for photos, their
     /// known cameras, or colmap to estimate them [default with --refine: colmap]
@@ -77,7 +77,7 @@ pub struct View {
     #[arg(long, value_name = "PHOTO", requires = "cameras")]
     relative_to: Option<PathBuf>,
     /// Gaussians per token of the scene's file, for the token view
-    #[arg(long, value_name = "N")]
+    #[arg(long, alias = "group", value_name = "N")]
     gaussians_per_token: Option<NonZeroUsize>,
     /// Features of the scenes, of `lift`, one file each: a click selects an object
     #[arg(long, value_name = "FILE", num_args = 1..)]
@@ -155,20 +155,23 @@ impl View {
     }
 
     fn show_photos(&self, session: &mut Session<'_>) -> Result<()> {
-        refuse("--gaussians-per-token", self.gaussians_per_token.is_some(), "photos", "a scene's file")?;
-        refuse("--features", !self.features.is_empty(), "photos", "a scene's file")?;
-        refuse("--photos", self.photos.is_some(), "photos", "a scene's file")?;
-        refuse("--relative-to", self.relative_to.is_some(), "photos", "a scene's file")?;
+        let options = [
+            ("--gaussians-per-token", self.gaussians_per_token.is_some()),
+            ("--features", !self.features.is_empty()),
+            ("--photos", self.photos.is_some()),
+            ("--relative-to", self.relative_to.is_some()),
+        ];
+        refuse_all(options, "photos", "a scene's file")?;
         self.input.refuse_dropping("photos", "a scene's file")?;
         if !self.from.refines() {
             self.input.antialiased.refuse("photos without --refine", "a scene's file, or with --refine")?;
         }
         let photos = (&self.files[..], self.cameras.as_deref());
-        let checkpoint = match self.from.network()? {
+        let checkpoint = match self.from.weights.open_network()? {
             Network::Tokens(checkpoint) => checkpoint,
             Network::Pixels(checkpoint) => return self.show_pixels(session, &checkpoint, photos),
         };
-        let every = self.output.is_none() && self.from.lists_ratios();
+        let every = self.output.is_none() && !self.from.ratios.is_empty();
         refuse("--ratios", every, "a page that is served, whose slider has every ratio", "a page that is written")?;
         let mut ready = self.from.prepare(session, checkpoint, photos)?;
         let watched = self.from.watched(session, &ready, self.input.antialiased)?;

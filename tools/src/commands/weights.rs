@@ -87,7 +87,7 @@ struct Get {
     #[arg(long)]
     offline: bool,
     /// Keep the downloaded file after its conversion
-    #[arg(long)]
+    #[arg(long, alias = "keep")]
     keep_download: bool,
     /// Retry after this time without data
     #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = parse_seconds)]
@@ -210,7 +210,7 @@ impl Get {
         if let Some(older) = released.cached(folder).first() {
             session.note(format!("the host has newer weights than {}, which stays where it is", older.display()));
         }
-        let Released { name, what, license, terms, .. } = released;
+        let Released { name, what, license: (license, terms), .. } = released;
         let size = bytes(promise.size);
         let offer = format!("{name}: {what}; {size} from {}{there}; license {license}: {terms}", promise.url);
         if self.yes {
@@ -253,7 +253,7 @@ fn is_offline() -> bool {
 }
 
 fn report(session: &mut Session<'_>, released: &Released, path: &Path) -> Result<()> {
-    let Released { name, license, .. } = released;
+    let Released { name, license: (license, _), .. } = released;
     let size = size_of(path)?;
     let json = json!({ "name": name, "path": path.to_string_lossy(), "bytes": size, "license": license });
     let kept = if released.kind == Kind::Tokens { ", f16" } else { "" };
@@ -273,7 +273,7 @@ fn list(session: &mut Session<'_>) -> Result<()> {
         }));
     }
     for released in &RELEASED {
-        let Released { name, what, license, .. } = released;
+        let Released { name, what, license: (license, _), .. } = released;
         let cached = released.cached(&folder).into_iter().next();
         let (state, size, place) = match (&cached, kept(&released.base(&folder))) {
             (Some(path), _) => ("cached", size_of(path)?, path.display().to_string()),

@@ -19,6 +19,8 @@ pub enum Failure {
     Passing(String),
     /// A retry would fail alike.
     Lasting(Error),
+    /// Local bytes differ from the host's.
+    Restart(String),
 }
 
 #[derive(Clone)]

@@ -36,7 +36,9 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
         match apart(stage, move || asking.ask(&address))? {
             Ok(info) => break info,
             Err(Failure::Lasting(error)) => return Err(error),
-            Err(Failure::Passing(reason)) => tries.failed(url, &reason, client.patience, stage)?,
+            Err(Failure::Passing(reason) | Failure::Restart(reason)) => {
+                tries.failed(url, &reason, client.patience, stage)?
+            }
         }
     };
     let sha256 = match (info.sha256, sha256.map(str::to_lowercase)) {
@@ -76,15 +78,15 @@ pub fn fetch(
         let stopped = load(client, promise, &mut partial, stage)?;
         let progress = partial.length()? > before;
         match stopped {
-            Stop::Passing(_) if progress => tries = Tries::default(),
-            Stop::Passing(reason) => tries.failed(&promise.url, &reason, client.patience, stage)?,
-            Stop::Lasting(error) => return Err(error),
-            Stop::Restart(reason) if restarts < RESTARTS => {
+            Failure::Passing(_) if progress => tries = Tries::default(),
+            Failure::Passing(reason) => tries.failed(&promise.url, &reason, client.patience, stage)?,
+            Failure::Lasting(error) => return Err(error),
+            Failure::Restart(reason) if restarts < RESTARTS => {
                 restarts += 1;
                 notes.push(format!("{}: {reason}: it is loaded from its beginning again", promise.url));
                 partial.clear()?;
             }
-            Stop::Restart(reason) => return Err(Error::io(&promise.url, io::Error::other(reason))),
+            Failure::Restart(reason) => return Err(Error::io(&promise.url, io::Error::other(reason))),
         }
     }
 }
@@ -123,30 +125,14 @@ fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send +
     }
 }
 
-enum Stop {
-    Passing(String),
-    Lasting(Error),
-    /// Local bytes differ from the host's.
-    Restart(String),
-}
-
-impl From<Failure> for Stop {
-    fn from(failure: Failure) -> Self {
-        match failure {
-            Failure::Passing(reason) => Self::Passing(reason),
-            Failure::Lasting(error) => Self::Lasting(error),
-        }
-    }
-}
-
 enum Event {
     /// File offset of the next bytes.
     From(u64),
     Bytes(Vec<u8>),
-    End(Stop),
+    End(Failure),
 }
 
-fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage<'_>) -> Result<Stop> {
+fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage<'_>) -> Result<Failure> {
     let (send, events) = sync_channel(WAITING);
     let (client, wanted, start) = (client.clone(), promise.clone(), partial.length()?);
     std::thread::spawn(move || {
@@ -175,16 +161,15 @@ fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage
     }
 }
 
-fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Event>) -> Stop {
-    let (response, info) = match client.get(&promise.url, start) {
+fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Event>) -> Failure {
+    let answer = client.get(&promise.url, start).and_then(|(response, info)| {
+        Ok((check_answer(promise, &info, response.status(), response.headers(), start)?, response))
+    });
+    let (from, response) = match answer {
         Ok(answer) => answer,
-        Err(failure) => return failure.into(),
+        Err(failure) => return failure,
     };
-    let from = match check_answer(promise, &info, response.status(), response.headers(), start) {
-        Ok(from) => from,
-        Err(stop) => return stop,
-    };
-    let left = || Stop::Passing("stopped".into());
+    let left = || Failure::Passing("stopped".into());
     if send.send(Event::From(from)).is_err() {
         return left();
     }
@@ -192,14 +177,14 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
     loop {
         let mut block = vec![0; CHUNK];
         match body.read(&mut block) {
-            Ok(0) => return Stop::Passing("the connection ended before the file".into()),
+            Ok(0) => return Failure::Passing("the connection ended before the file".into()),
             Ok(read) => {
                 block.truncate(read);
                 if send.send(Event::Bytes(block)).is_err() {
                     return left();
                 }
             }
-            Err(error) => return failure(&promise.url, &ureq::Error::from(error), client.patience).into(),
+            Err(error) => return failure(&promise.url, &ureq::Error::from(error), client.patience),
         }
     }
 }
@@ -210,10 +195,10 @@ fn check_answer(
     status: StatusCode,
     headers: &HeaderMap,
     start: u64,
-) -> Result<u64, Stop> {
+) -> Result<u64, Failure> {
     if let Some(other) = info.sha256.as_ref().filter(|sha256| **sha256 != promise.sha256) {
         let reason = format!("the host has another file since (SHA-256 {other}): run the command again");
-        return Err(Stop::Lasting(Error::format(&promise.url, None, reason)));
+        return Err(Failure::Lasting(Error::format(&promise.url, None, reason)));
     }
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
     let size = promise.size;
@@ -224,14 +209,14 @@ fn check_answer(
             if found.replace("/*", &format!("/{size}")) == expected {
                 return Ok(start);
             }
-            Err(Stop::Restart(format!("Content-Range: found {found}, expected {expected}")))
+            Err(Failure::Restart(format!("Content-Range: found {found}, expected {expected}")))
         }
         StatusCode::RANGE_NOT_SATISFIABLE => {
-            Err(Stop::Restart(format!("the host has no bytes from {start} on (HTTP 416)")))
+            Err(Failure::Restart(format!("the host has no bytes from {start} on (HTTP 416)")))
         }
         _ => match text(CONTENT_LENGTH).and_then(|length| length.parse::<u64>().ok()) {
             Some(length) if length != size => {
-                Err(Stop::Restart(format!("Content-Length: found {length}, expected {size}")))
+                Err(Failure::Restart(format!("Content-Length: found {length}, expected {size}")))
             }
             // The host may ignore the range.
             _ => Ok(0),

@@ -1,5 +1,5 @@
 use super::POLL;
-use crate::session::Stage;
+use crate::{session::Stage, stamp::hex};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::{
@@ -22,13 +22,9 @@ pub struct Promise {
 }
 
 impl Promise {
-    pub fn tag(&self) -> &str {
-        &self.sha256[..TAG]
-    }
-
     pub fn path(&self, base: &Path) -> PathBuf {
         let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
-        base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), self.tag(), part(base.extension())))
+        base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), &self.sha256[..TAG], part(base.extension())))
     }
 }
 
@@ -169,7 +165,7 @@ impl Partial {
         loop {
             let read = self.file.read(&mut block).map_err(|error| Error::io(&self.path, error))?;
             if read == 0 {
-                return Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect());
+                return Ok(hex(&hasher.finalize()));
             }
             hasher.update(&block[..read]);
             done += read as u64;

@@ -4,7 +4,8 @@ use std::ops::RangeInclusive;
 
 use glam::{DMat3, DVec3, Vec3A};
 use rayon::prelude::*;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, median};
+use zipsplat::depth::add_view;
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene, median};
 use zipsplat::{Error, Result};
 
 use super::families::Family;
@@ -262,7 +263,7 @@ impl Setup {
         let row = |y: usize| go_on().map(|()| (0..width).map(|x| pixel(x, y)).collect());
         let light = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<Vec3A>>>>()?.concat();
         let depth = rows.iter().flatten().map(|(_, depth)| *depth).collect();
-        let surface = rows.iter().flatten().map(|(hit, _)| hit.distance.map(|_| hit.surface())).collect();
+        let surface = rows.iter().flatten().map(|(hit, _)| hit.distance.map(|_| hit.region >> 4)).collect();
         Ok(Frame { light, depth, surface })
     }
 
@@ -322,5 +323,15 @@ impl Capture {
         let z = f64::from(self.depths[view][(y * i.width + x) as usize]);
         let ray = DVec3::new((f64::from(x) + 0.5 - i.cx) / i.fx, (f64::from(y) + 0.5 - i.cy) / i.fy, 1.0);
         (z > 0.0).then(|| pose.transform(ray * z))
+    }
+
+    /// Returns one isotropic Gaussian per surface pixel, in the capture's world: a reference
+    /// reconstruction.
+    pub fn splats(&self) -> Scene {
+        let mut scene = Scene { sh_degree: 0, ..Scene::default() };
+        for ((camera, image), depth) in self.cameras.iter().zip(&self.images).zip(&self.depths) {
+            add_view(&mut scene, camera, image, depth);
+        }
+        scene
     }
 }

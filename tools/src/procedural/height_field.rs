@@ -1,6 +1,6 @@
 use glam::{Vec2, Vec3A, Vec3Swizzles};
 
-use super::slab::slab;
+use super::shape::slab;
 
 const BLOCK: usize = 8;
 

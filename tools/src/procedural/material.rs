@@ -74,7 +74,7 @@ impl Palette<'_> {
             Role::Wall | Role::Floor => 0.5 * self.photo_share,
             _ => self.photo_share,
         };
-        let crops = self.photos.crops().len();
+        let crops = self.photos.crops.len();
         if crops == 0 || !rng.chance(share) {
             return None;
         }
@@ -87,7 +87,7 @@ impl Palette<'_> {
     }
 
     pub fn terrain(&self, rng: &mut Rng) -> Material {
-        let crops = self.photos.crops().len();
+        let crops = self.photos.crops.len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
         let colors = [colors(rng, Role::Ground)[0], colors(rng, Role::Foliage)[1], colors(rng, Role::Stone)[1]];
         let texture = Texture {
@@ -104,20 +104,40 @@ impl Palette<'_> {
 /// Pattern and its period in units of [`Palette::detail`].
 type Drawn = (Pattern, f32);
 
+type Draw = fn(&mut Rng) -> Drawn;
+
+const CLOUDS: Draw = |_| noise(5, [1.0; 3], 1.2);
+const GRAVEL: Draw = |_| noise(5, [1.0; 3], 0.35);
+const SPECKLE: Draw = |_| noise(5, [1.0; 3], 0.2);
+const LEAVES: Draw = |_| noise(5, [1.0; 3], 0.18);
+const PLASTER: Draw = |_| noise(5, [1.0, 1.0, 0.6], 0.7);
+const STRATA: Draw = |_| noise(5, [1.0, 1.0, 2.5], 0.8);
+const MARBLE: Draw = |_| (Pattern::Marble, 0.8);
+const RINGS: Draw = |_| (Pattern::Rings, 0.3);
+const GRADIENT: Draw = |_| (Pattern::Gradient, 1.0);
+const COBBLES: Draw = |_| (Pattern::Voronoi { border: 0.06 }, 0.35);
+const CHECKER: Draw = |rng| (Pattern::Checker, rng.scale(0.2, 0.8));
+const STRIPES: Draw = |rng| (Pattern::Stripes(rng.range(0.2, 0.8)), 0.35);
+const SPOTS: Draw = |rng| (Pattern::Spots(rng.range(0.15, 0.4)), 0.35);
+const PLANKS: Draw = |rng| (Pattern::Planks(rng.range(5.0, 14.0)), 0.25);
+const BRICKS: Draw =
+    |rng| (Pattern::Bricks { aspect: rng.range(1.8, 3.5), mortar: rng.range(0.06, 0.16), shift: 0.5 }, 0.25);
+const TILES: Draw = |rng| (Pattern::Bricks { aspect: rng.pick(&[1.0, 1.0, 2.0]), mortar: 0.05, shift: 0.0 }, 0.7);
+
 fn pattern(rng: &mut Rng, role: Role) -> Drawn {
-    let choices: &[fn(&mut Rng) -> Drawn] = match role {
-        Role::Ground => &[cobbles, tiles, bricks, clouds, gravel, gravel],
-        Role::Floor => &[checker, tiles, speckle, planks, planks],
-        Role::Wall => &[bricks, stripes, spots, speckle, clouds, gravel],
-        Role::Facade => &[tiles, plaster, bricks, bricks],
-        Role::Wood => &[planks, rings],
-        Role::Foliage => &[leaves],
-        Role::Fabric => &[stripes, spots, checker, speckle, speckle],
-        Role::Stone => &[strata, marble],
+    let choices: &[Draw] = match role {
+        Role::Ground => &[COBBLES, TILES, BRICKS, CLOUDS, GRAVEL, GRAVEL],
+        Role::Floor => &[CHECKER, TILES, SPECKLE, PLANKS, PLANKS],
+        Role::Wall => &[BRICKS, STRIPES, SPOTS, SPECKLE, CLOUDS, GRAVEL],
+        Role::Facade => &[TILES, PLASTER, BRICKS, BRICKS],
+        Role::Wood => &[PLANKS, RINGS],
+        Role::Foliage => &[LEAVES],
+        Role::Fabric => &[STRIPES, SPOTS, CHECKER, SPECKLE, SPECKLE],
+        Role::Stone => &[STRATA, MARBLE],
         Role::Metal => &[|_| noise(3, [1.0, 1.0, 6.0], 0.6)],
         Role::Glass => &[|_| noise(2, [1.0; 3], 2.0)],
         Role::Picture | Role::Anything => {
-            &[checker, stripes, bricks, marble, rings, spots, gradient, cobbles, speckle, clouds, clouds]
+            &[CHECKER, STRIPES, BRICKS, MARBLE, RINGS, SPOTS, GRADIENT, COBBLES, SPECKLE, CLOUDS, CLOUDS]
         }
     };
     rng.pick(choices)(rng)
@@ -125,71 +145,6 @@ fn pattern(rng: &mut Rng, role: Role) -> Drawn {
 
 fn noise(octaves: usize, stretch: [f32; 3], period: f32) -> Drawn {
     (Pattern::Noise { octaves, stretch: Vec3::from(stretch) }, period)
-}
-
-fn clouds(_: &mut Rng) -> Drawn {
-    noise(5, [1.0; 3], 1.2)
-}
-
-fn gravel(_: &mut Rng) -> Drawn {
-    noise(5, [1.0; 3], 0.35)
-}
-
-fn speckle(_: &mut Rng) -> Drawn {
-    noise(5, [1.0; 3], 0.2)
-}
-
-fn leaves(_: &mut Rng) -> Drawn {
-    noise(5, [1.0; 3], 0.18)
-}
-
-fn plaster(_: &mut Rng) -> Drawn {
-    noise(5, [1.0, 1.0, 0.6], 0.7)
-}
-
-fn strata(_: &mut Rng) -> Drawn {
-    noise(5, [1.0, 1.0, 2.5], 0.8)
-}
-
-fn marble(_: &mut Rng) -> Drawn {
-    (Pattern::Marble, 0.8)
-}
-
-fn rings(_: &mut Rng) -> Drawn {
-    (Pattern::Rings, 0.3)
-}
-
-fn gradient(_: &mut Rng) -> Drawn {
-    (Pattern::Gradient, 1.0)
-}
-
-fn cobbles(_: &mut Rng) -> Drawn {
-    (Pattern::Voronoi { border: 0.06 }, 0.35)
-}
-
-fn checker(rng: &mut Rng) -> Drawn {
-    (Pattern::Checker, rng.scale(0.2, 0.8))
-}
-
-fn stripes(rng: &mut Rng) -> Drawn {
-    (Pattern::Stripes(rng.range(0.2, 0.8)), 0.35)
-}
-
-fn spots(rng: &mut Rng) -> Drawn {
-    (Pattern::Spots(rng.range(0.15, 0.4)), 0.35)
-}
-
-fn planks(rng: &mut Rng) -> Drawn {
-    (Pattern::Planks(rng.range(5.0, 14.0)), 0.25)
-}
-
-fn bricks(rng: &mut Rng) -> Drawn {
-    let (aspect, mortar) = (rng.range(1.8, 3.5), rng.range(0.06, 0.16));
-    (Pattern::Bricks { aspect, mortar, shift: 0.5 }, 0.25)
-}
-
-fn tiles(rng: &mut Rng) -> Drawn {
-    (Pattern::Bricks { aspect: rng.pick(&[1.0, 1.0, 2.0]), mortar: 0.05, shift: 0.0 }, 0.7)
 }
 
 fn offset(rng: &mut Rng) -> Vec3A {

@@ -17,8 +17,6 @@ mod photos;
 mod rng;
 mod shape;
 pub mod shards;
-mod slab;
-mod splats;
 mod survey;
 mod texture;
 mod tone;

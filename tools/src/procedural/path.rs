@@ -67,10 +67,6 @@ impl View {
         let level = Mat3A::from_cols(right, forward.cross(right), forward);
         Self { eye, rotation: level * Mat3A::from_rotation_z(roll) }
     }
-
-    pub fn to_camera(self, point: Vec3A) -> Vec3A {
-        self.rotation.transpose() * (point - self.eye)
-    }
 }
 
 impl Stage {

@@ -27,12 +27,8 @@ pub struct Crop {
 
 #[derive(Default)]
 pub struct Photos {
-    crops: Vec<Crop>,
-    pyramids: Vec<Pyramid>,
-}
-
-struct Pyramid {
-    levels: Vec<Level>,
+    pub crops: Vec<Crop>,
+    pyramids: Vec<Vec<Level>>,
 }
 
 struct Level {
@@ -57,19 +53,15 @@ impl Photos {
             if image.width != image.height {
                 return Err(Error::format(&path, None, format!("found {image:?}, expected a square")));
             }
-            Ok(Pyramid::new(&image))
+            Ok(pyramid(&image))
         };
         let pyramids = crops.par_iter().map(read).collect::<Vec<_>>().into_iter().collect::<Result<_>>()?;
         Ok(Self { crops, pyramids })
     }
 
-    pub fn crops(&self) -> &[Crop] {
-        &self.crops
-    }
-
     /// Linear RGB over the mirrored unit square, with footprint `width`.
     pub(super) fn sample(&self, photo: usize, uv: Vec2, width: f32) -> Vec3A {
-        let Pyramid { levels } = &self.pyramids[photo];
+        let levels = &self.pyramids[photo];
         let level = (width * levels[0].side as f32).max(1.0).log2().min((levels.len() - 1) as f32);
         let fine = levels[level as usize].sample(uv);
         let rest = level.fract();
@@ -90,15 +82,13 @@ impl Photos {
     }
 }
 
-impl Pyramid {
-    fn new(image: &Image) -> Self {
-        let rgb = image.rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
-        let mut levels = vec![Level { side: image.width as usize, rgb }];
-        while let Some(level) = levels.last().filter(|level| level.side > 1) {
-            levels.push(level.halved());
-        }
-        Self { levels }
+fn pyramid(image: &Image) -> Vec<Level> {
+    let rgb = image.rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
+    let mut levels = vec![Level { side: image.width as usize, rgb }];
+    while let Some(level) = levels.last().filter(|level| level.side > 1) {
+        levels.push(level.halved());
     }
+    levels
 }
 
 impl Level {

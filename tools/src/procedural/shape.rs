@@ -6,7 +6,6 @@ use glam::{Mat3A, Vec2, Vec3A, Vec3Swizzles};
 
 use super::height_field::HeightField;
 use super::material::Material;
-use super::slab::slab;
 
 /// For rays that graze a torus.
 const TORUS_STEPS: usize = 96;
@@ -143,6 +142,14 @@ fn axis_of(v: Vec3A) -> Vec3A {
     } else {
         Vec3A::Z * v.z.signum()
     }
+}
+
+/// Kay and Kajiya's slabs. For rays along a face, min and max drop NaN.
+pub(super) fn slab(origin: Vec3A, direction: Vec3A, half: Vec3A) -> Option<[f32; 2]> {
+    let inverse = direction.recip();
+    let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);
+    let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+    (enter <= leave).then_some([enter, leave])
 }
 
 /// First positive end.

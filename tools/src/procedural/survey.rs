@@ -61,7 +61,7 @@ pub(super) fn overlap(world: &World, lens: Lens, views: &[View]) -> Option<Vec<f
     let share = |points: &[(f32, Vec3A)], other: &View| {
         let sees = |point: Vec3A| {
             let slack = 2e-3 * (point - other.eye).length();
-            lens.shows(other.to_camera(point)) && !world.blocked(other.eye, point, slack)
+            lens.shows(other.rotation.transpose() * (point - other.eye)) && !world.blocked(other.eye, point, slack)
         };
         points.iter().filter(|(_, point)| sees(*point)).count() as f32 / points.len() as f32
     };

@@ -32,7 +32,8 @@ impl Development {
 
     pub fn develop(&self, view: usize, width: usize, mut linear: Vec<Vec3A>) -> Vec<u8> {
         if self.blur > 0.0 {
-            linear = blur(&blur(&linear, width, self.blur, Axis::X), width, self.blur, Axis::Y);
+            let across = blur(&linear, 1, width, self.blur);
+            linear = blur(&across, width, linear.len() / width, self.blur);
         }
         let seed = mix(self.seed.wrapping_add(view as u64));
         let pixel = |(i, light): (usize, &Vec3A)| {
@@ -67,21 +68,14 @@ pub(super) fn srgb_to_linear(srgb: Vec3A) -> Vec3A {
     srgb * (srgb * (srgb * 0.3053 + 0.6822) + 0.0125)
 }
 
-#[derive(Clone, Copy, PartialEq)]
-enum Axis {
-    X,
-    Y,
-}
-
-/// Three taps along an axis; the border repeats.
-fn blur(pixels: &[Vec3A], width: usize, sigma: f32, axis: Axis) -> Vec<Vec3A> {
+/// Three taps along lines of `count` pixels, `step` apart; the border repeats.
+fn blur(pixels: &[Vec3A], step: usize, count: usize, sigma: f32) -> Vec<Vec3A> {
     let side = (-0.5 / (sigma * sigma)).exp();
     let (side, middle) = (side / (1.0 + 2.0 * side), 1.0 / (1.0 + 2.0 * side));
-    let (step, last) = if axis == Axis::X { (1, width - 1) } else { (width, pixels.len() / width - 1) };
-    let at = |i: usize| if axis == Axis::X { i % width } else { i / width };
+    let at = |i: usize| i / step % count;
     let tap = |i: usize| {
         let before = if at(i) > 0 { i - step } else { i };
-        let after = if at(i) < last { i + step } else { i };
+        let after = if at(i) < count - 1 { i + step } else { i };
         middle * pixels[i] + side * (pixels[before] + pixels[after])
     };
     (0..pixels.len()).map(tap).collect()

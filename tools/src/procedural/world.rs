@@ -59,15 +59,8 @@ pub(super) struct Hit {
     pub light: Vec3A,
     /// Distance to the surface; `None` in the sky.
     pub distance: Option<f32>,
-    /// Surface, face and shadow: differing neighbors are an edge for antialiasing.
+    /// Number of the primitive in the high 28 bits, then face and shadow: differing neighbors are an edge for antialiasing.
     pub region: u32,
-}
-
-impl Hit {
-    /// Number of the primitive.
-    pub fn surface(&self) -> u32 {
-        self.region >> 4
-    }
 }
 
 impl World {

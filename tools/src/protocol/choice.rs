@@ -49,7 +49,7 @@ impl Setting {
 
     pub fn rule(&self) -> String {
         match &self.rule {
-            Rule::Given(indices) => format!("indices-{}", indices.digest()),
+            Rule::Given(indices) => format!("indices-{}", indices.digest),
             Rule::Farthest(Some(gap)) => format!("gap{gap}"),
             Rule::Farthest(None) => "all".into(),
             Rule::Even => "even".into(),

@@ -8,7 +8,7 @@ use zipsplat::{Error, Result};
 /// Unlisted scenes are skipped.
 pub struct Indices {
     scenes: HashMap<String, Option<Entry>>,
-    digest: String,
+    pub digest: String,
 }
 
 /// Indices into a scene's camera file.
@@ -47,10 +47,6 @@ impl Indices {
 
     pub fn views(&self) -> usize {
         self.scenes.values().flatten().next().map_or(0, |entry| entry.context.len())
-    }
-
-    pub fn digest(&self) -> &str {
-        &self.digest
     }
 
     pub fn of(&self, scene: &str) -> Option<&Entry> {

@@ -1,4 +1,5 @@
 use super::Protocol;
+use crate::stamp::entries;
 use std::{
     fs::File,
     io::Read,
@@ -54,40 +55,29 @@ impl Protocol {
     }
 
     fn at(self, path: &Path, images: Option<&Path>) -> Result<Option<Place>> {
-        let place = |cameras: PathBuf, base: &Path, usual: &[&str]| {
-            let whole = path.canonicalize().map_err(|error| Error::io(path, error))?;
-            let name = if whole.is_dir() { whole.file_name() } else { whole.file_stem() };
-            let photos = match images {
-                Some(images) => vec![base.join(images)],
-                None => usual.iter().map(|folder| base.join(folder)).collect(),
-            };
-            Ok(Some(Place { name: name.unwrap_or_default().to_string_lossy().into_owned(), cameras, photos }))
+        // Folders to look in, cameras there, and folders of photos there, best first.
+        let (bases, cameras, usual): (&[&str], &str, &[&str]) = match self {
+            Self::Dl3dv => (&["", "nerfstudio"], "transforms.json", &["images_4", "images_2", "images_8", "images"]),
+            Self::Re10k => (&[], "", &[]),
+            Self::Mipnerf360 => (&[""], "sparse/0", &["images_4", "images"]),
+            Self::Scannetpp => (&["dslr", ""], "colmap", &["resized_images", "images"]),
         };
         let model =
             |folder: &Path| ["bin", "txt"].iter().any(|end| folder.join("cameras").with_extension(end).is_file());
-        match self {
-            Self::Dl3dv => {
-                let folders = [path.to_owned(), path.join("nerfstudio")];
-                match folders.iter().find(|folder| folder.join("transforms.json").is_file()) {
-                    Some(base) => {
-                        place(base.join("transforms.json"), base, &["images_4", "images_2", "images_8", "images"])
-                    }
-                    None => Ok(None),
-                }
-            }
-            Self::Re10k if is_addressed(path) => place(path.to_owned(), &path.with_extension(""), &[]),
-            Self::Mipnerf360 if model(&path.join("sparse/0")) => {
-                place(path.join("sparse/0"), path, &["images_4", "images"])
-            }
-            Self::Scannetpp => {
-                let bases = [path.join("dslr"), path.to_owned()];
-                match bases.iter().find(|base| model(&base.join("colmap"))) {
-                    Some(base) => place(base.join("colmap"), base, &["resized_images", "images"]),
-                    None => Ok(None),
-                }
-            }
-            _ => Ok(None),
-        }
+        let mut places = bases.iter().map(|base| (path.join(base), path.join(base).join(cameras)));
+        let found = match self {
+            Self::Re10k => is_addressed(path).then(|| (path.with_extension(""), path.to_owned())),
+            Self::Dl3dv => places.find(|(_, cameras)| cameras.is_file()),
+            Self::Mipnerf360 | Self::Scannetpp => places.find(|(_, cameras)| model(cameras)),
+        };
+        let Some((base, cameras)) = found else { return Ok(None) };
+        let whole = path.canonicalize().map_err(|error| Error::io(path, error))?;
+        let name = if whole.is_dir() { whole.file_name() } else { whole.file_stem() };
+        let photos = match images {
+            Some(images) => vec![base.join(images)],
+            None => usual.iter().map(|folder| base.join(folder)).collect(),
+        };
+        Ok(Some(Place { name: name.unwrap_or_default().to_string_lossy().into_owned(), cameras, photos }))
     }
 }
 
@@ -116,10 +106,4 @@ fn is_addressed(path: &Path) -> bool {
     let mut start = [0; 4];
     path.extension().is_some_and(|extension| extension == "txt")
         && File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok_and(|()| start == *b"http")
-}
-
-fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let failed = |error| Error::io(folder, error);
-    let entries = folder.read_dir().map_err(failed)?;
-    entries.map(|entry| Ok(entry.map_err(failed)?.path())).collect()
 }

@@ -9,13 +9,12 @@ pub use report::{as_json, cancellation, explain, summary};
 
 use crate::{
     cameras::{Finder, Similarity, path_from},
-    known_depth::KnownDepth,
+    known_depth::{KnownDepth, WithDepth},
     outputs::make_folder,
-    session::{Session, Stage},
+    session::Session,
     stamp::{digest, stamp},
 };
 use std::{
-    borrow::Cow,
     ops::ControlFlow,
     path::{Path, PathBuf},
 };
@@ -28,7 +27,7 @@ use zipsplat::{
         refine_tokens,
     },
     types::{
-        Camera, Image, Masks, PointCloud, Pose, Scene,
+        Camera, Masks, PointCloud, Pose, Scene,
         poses::{CaptureView, write_frames},
     },
 };
@@ -80,33 +79,12 @@ pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
     }
 }
 
-/// Photos are not opened after a cancellation.
-struct Cancellable<'a, P>(P, &'a Stage<'a>);
-
-impl<P: Photos> Photos for Cancellable<'_, P> {
-    fn count(&self) -> usize {
-        self.0.count()
-    }
-
-    fn size(&self, i: usize) -> [u32; 2] {
-        self.0.size(i)
-    }
-
-    fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
-        if self.1.go_on().is_break() { Err(Error::Cancelled) } else { self.0.open(i) }
-    }
-
-    fn depth(&self, i: usize) -> Result<Option<Cow<'_, [f32]>>> {
-        self.0.depth(i)
-    }
-}
-
 /// Cancellation returns the best so far, if any.
 pub fn refine(
     session: &mut Session<'_>,
     arena: &Arena,
     from: Refinable<'_>,
-    photos: impl Photos,
+    (photos, depth): (impl Photos, Option<&KnownDepth>),
     cameras: &[Camera],
     request: &RefineOptions,
 ) -> Result<RefineResult> {
@@ -118,7 +96,7 @@ pub fn refine(
             stage.name(&progress_message(&at));
             stage.at(at.step as f64 / at.steps as f64)
         };
-        let photos = Cancellable(photos, stage);
+        let photos = WithDepth(photos, depth, Some(stage));
         refined = Some(match from {
             Refinable::Scene(scene) => refine_scene(arena, scene, photos, cameras, request, progress)?,
             Refinable::Tokens(head, tokens) => refine_tokens(arena, head, tokens, photos, cameras, request, progress)?,

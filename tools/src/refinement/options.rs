@@ -1,5 +1,10 @@
 use super::{Initialization, exposure::Exposure};
-use crate::{antialiasing::Antialiasing, cameras::COLMAP, known_depth::KnownDepth, options::Size, session::Session};
+use crate::{
+    cameras::COLMAP,
+    known_depth::KnownDepth,
+    options::{Antialiasing, Size},
+    session::Session,
+};
 use clap::{Arg, ArgGroup, Args, ValueEnum, builder::ArgPredicate};
 use std::{
     ffi::OsString,
@@ -90,17 +95,17 @@ enum RefineTarget {
 #[derive(Args, Debug)]
 pub struct RefineSettings {
     /// Initialization [default: scene; for the built-in model points, if the capture has enough]
-    #[arg(long, value_enum, value_name = "INIT")]
+    #[arg(long, alias = "start", value_enum, value_name = "INIT")]
     pub init: Option<Initialization>,
     /// Largest photo size; larger photos are scaled down to fit
-    #[arg(long, value_name = "WxH", default_value_t = default_size())]
+    #[arg(long, alias = "refine-size", value_name = "WxH", default_value_t = default_size())]
     max_image_size: Size,
     /// Photos held out to select the best step, evenly spaced; 0: none [default: 1 from 40 photos
     /// on, 0 with --optimize-cameras]
-    #[arg(long, value_name = "K")]
+    #[arg(long, alias = "hold-out", value_name = "K")]
     holdout_views: Option<usize>,
     /// Also optimize the photos' cameras, except those of the first photo and of held-out photos
-    #[arg(long)]
+    #[arg(long, alias = "refine-cameras")]
     pub optimize_cameras: bool,
     /// Learn a color transform per photo, for photos of different exposure or white balance. The
     /// scene's colors are the photos' mean
@@ -110,7 +115,7 @@ pub struct RefineSettings {
     /// adding new ones; 0: no growth [default: from 50 steps on and below a training PSNR
     /// of 25 dB, a Gaussian per 32 pixels of the photos, at most 16 times the initial number; from
     /// 200 steps on more, up to twice as many at 800]
-    #[arg(long, value_name = "N", value_parser = parse_count)]
+    #[arg(long, alias = "grow", value_name = "N", value_parser = parse_count)]
     max_gaussians: Option<usize>,
     /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training; steps take many times as
     /// long. `python3 tools/lpips.py` downloads the weights of LPIPS [default: 0]
@@ -218,7 +223,7 @@ impl RefineSettings {
             holdout_views: self.holdout_views,
             optimize_cameras: self.optimize_cameras,
             exposure: self.exposure.of_photos(photos),
-            antialiased: antialiased.given(),
+            antialiased: antialiased.antialiased,
             max_gaussians: self.max_gaussians,
             perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),
             depth_loss: depth_loss

@@ -62,18 +62,8 @@ pub fn explain(
     let held: Vec<String> = refined.holdout_views.iter().map(name).collect();
     let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
     let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
-    let LearningRates {
-        means,
-        scales,
-        quats,
-        opacities,
-        sh_coeffs,
-        sh_higher,
-        tokens,
-        camera_rotation,
-        camera_translation,
-        exposure,
-    } = request.learning_rates;
+    let LearningRates { means, scales, quats, opacities, sh_coeffs, sh_higher, tokens, .. } = request.learning_rates;
+    let LearningRates { camera_rotation, camera_translation, exposure, .. } = request.learning_rates;
     let mut rates = match start {
         TOKENS => format!("tokens {tokens}"),
         _ => format!(

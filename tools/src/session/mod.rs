@@ -47,7 +47,7 @@ pub struct Global {
     pub device: Option<String>,
     /// Device memory limit in bytes, such as 3G, also of photos kept in host memory by a
     /// refinement; K, M and G are powers of 1024 [default: all, 4G of photos]
-    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    #[arg(long, alias = "memory", global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
     pub max_memory: Option<u64>,
     /// Print the result as JSON to standard output: {"schema_version", "command", "warnings",
     /// "result"}; an error as one line of JSON to standard error: {"error", "kind", "exit_code"}
@@ -72,9 +72,11 @@ pub struct Session<'a> {
     global: Global,
     terminal: Terminal<'a>,
     piped: bool,
-    code: u8,
-    task: String,
-    began: Instant,
+    /// Exit code of a command without an error.
+    pub code: u8,
+    /// Start of the stages' names.
+    pub task: String,
+    pub began: Instant,
     next_line: Mutex<Instant>,
 }
 
@@ -93,14 +95,6 @@ impl<'a> Session<'a> {
             began,
             next_line,
         }
-    }
-
-    pub fn elapsed(&self) -> Duration {
-        self.began.elapsed()
-    }
-
-    pub fn begin_task(&mut self, task: &str) {
-        self.task = format!("{task}: ");
     }
 
     pub fn device(&mut self) -> Result<Device> {
@@ -124,7 +118,7 @@ impl<'a> Session<'a> {
             return Ok(None);
         }
         match self.device() {
-            Err(Error::NoDevice(why)) if !self.names_device() => {
+            Err(Error::NoDevice(why)) if self.global.device.is_none() => {
                 self.note(format!("planned for an ordinary device: {why}"));
                 Ok(None)
             }
@@ -146,10 +140,6 @@ impl<'a> Session<'a> {
         Limits { memory_bytes: self.global.max_memory.unwrap_or(limits.memory_bytes), ..limits }
     }
 
-    fn names_device(&self) -> bool {
-        self.global.device.is_some()
-    }
-
     /// Also returns its time.
     pub fn stage<T>(&self, name: &str, body: impl FnOnce(&Stage<'_>) -> Result<T>) -> Result<(T, Duration)> {
         let stage = Stage::new(name, &self.task, self.terminal.cancelled);
@@ -165,15 +155,16 @@ impl<'a> Session<'a> {
         Ok((value, start.elapsed()))
     }
 
-    /// Self-tests the kernels on the first use of a precision on a device.
-    pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<KernelChoice> {
-        let chosen = self.stage("first use", |stage| {
+    /// Self-tests the kernels on the first use of a precision on a device, and notes failed ones.
+    pub fn choose(&mut self, device: &Device, precision: Option<Precision>) -> Result<(Precision, Arithmetic)> {
+        let (chosen, _) = self.stage("first use", |stage| {
             KernelChoice::of_with(device, precision, |kernel, done| {
                 stage.name(&format!("first use: testing {kernel}"));
                 stage.at(done)
             })
-        });
-        Ok(chosen?.0)
+        })?;
+        self.notes(&chosen.warnings);
+        Ok((chosen.precision, chosen.arithmetic))
     }
 
     pub fn load_model(
@@ -237,14 +228,6 @@ impl<'a> Session<'a> {
         self.terminal.cancelled
     }
 
-    pub fn end_with(&mut self, code: u8) {
-        self.code = code;
-    }
-
-    pub fn code(&self) -> u8 {
-        self.code
-    }
-
     pub fn note(&mut self, text: impl Display) {
         let text = text.to_string();
         if !self.global.quiet {
@@ -275,7 +258,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    pub fn complain(&mut self, error: &Error, code: u8) {
+    pub fn complain(&mut self, error: &Error, kind: &str, code: u8) {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
         if let Error::Memory { needed, available, .. } = error {
             lines.push(format!("{} of device memory are missing", bytes(needed.saturating_sub(*available))));
@@ -283,7 +266,7 @@ impl<'a> Session<'a> {
             lines.extend(limit.map(|limit| format!("--max-memory allows {} of the device's memory", bytes(limit))));
         }
         let text = lines.join("; ");
-        let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };
+        let line = if self.global.json { error_as_json(&text, kind, code) } else { format!("error: {text}") };
         let _ = writeln!(self.terminal.err, "{line}");
     }
 }
@@ -294,21 +277,6 @@ pub fn stage_seconds(times: &[(impl ToString, Duration)]) -> serde_json::Value {
 
 pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
     serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
-}
-
-fn kind(error: &Error) -> &'static str {
-    match error {
-        Error::Argument { .. } => "argument",
-        Error::Io { .. } => "io",
-        Error::Format { .. } => "format",
-        Error::Weights { .. } => "weights",
-        Error::NoDevice(_) => "no_device",
-        Error::Memory { .. } => "memory",
-        Error::DeviceLost => "device_lost",
-        Error::Driver { .. } => "driver",
-        Error::Cancelled => "cancelled",
-        _ => "internal",
-    }
 }
 
 fn parse_bytes(text: &str) -> Result<u64, String> {

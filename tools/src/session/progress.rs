@@ -1,12 +1,13 @@
 //! A bar on a terminal, else occasional lines.
 
+use crate::process::lock;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::{
     fmt,
     io::{IsTerminal, Write, stderr},
     ops::ControlFlow,
     sync::{
-        Mutex, PoisonError,
+        Mutex,
         atomic::{AtomicBool, Ordering},
         mpsc::{Receiver, RecvTimeoutError, channel},
     },
@@ -110,7 +111,7 @@ fn show_bar(bar: &ProgressBar, done: &Receiver<()>) {
 }
 
 fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant>) {
-    let due = || next_line.lock().unwrap_or_else(PoisonError::into_inner);
+    let due = || lock(next_line);
     loop {
         let wait = due().saturating_duration_since(Instant::now());
         let wait = wait.max(PATIENCE.saturating_sub(bar.elapsed()));

@@ -70,10 +70,7 @@ impl Served<'_> {
 
     fn view(&self, path: &str) -> Result<Option<Answer>> {
         let (Some(ready), Some(i)) = (self.ready, number(path, "view/")) else { return Ok(None) };
-        if i >= ready.view_count() {
-            return Ok(None);
-        }
-        Ok(Some(("image/jpeg", ready.view(i)?)))
+        (i < ready.names.len()).then(|| Ok(("image/jpeg", ready.view(i)?))).transpose()
     }
 
     /// Scene at `refined` or `made/RATIO/PRECISION?NUMBER`. Higher numbers overtake it unless

@@ -1,7 +1,7 @@
 //! Scenes of any ratio on demand, from features on the device.
 
 use super::page::{Ratios, ShownScene};
-use crate::options::Quality;
+use crate::{options::Quality, process::lock};
 use std::{
     ops::ControlFlow,
     sync::{
@@ -106,9 +106,10 @@ impl Live<'_> {
         self.quality.prune(&mut scene, self.checkpoint.architecture());
         self.turned.iter().for_each(|first| scene.place(1.0, first));
         times.push(("read".into(), begin.elapsed()));
+        let all = self.checkpoint.architecture().gaussians_per_token;
         let shown = ShownScene {
             name: self.name.clone(),
-            group: Some(self.quality.group(self.checkpoint.architecture())),
+            group: self.quality.kept().map(|keep| keep as usize).or(Some(all)),
             patches: made.patches.indices(),
             times: times.into_iter().map(|(stage, took)| (stage, milliseconds(took))).collect(),
             skipped_passes: made.skipped_passes,
@@ -124,7 +125,7 @@ impl Live<'_> {
     }
 
     pub fn grid(&self) -> ViewGrid {
-        self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].features.grid()
+        lock(&self.sources)[0].features.grid()
     }
 
     pub fn go_on(&self) -> ControlFlow<()> {
@@ -132,7 +133,7 @@ impl Live<'_> {
     }
 
     pub fn first_precision(&self) -> Precision {
-        self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].precision
+        lock(&self.sources)[0].precision
     }
 
     pub fn ratios(&self) -> Ratios {

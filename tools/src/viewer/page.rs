@@ -1,6 +1,7 @@
 //! Self-contained: style, scripts and optional scenes.
 
 use super::{InputCamera, ShownFeatures};
+use crate::html::escape;
 use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -91,7 +92,7 @@ pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scen
         out.write_all(before.as_bytes())?;
         match name {
             "policy" => out.write_all(policy(&script, requests).as_bytes())?,
-            "title" => out.write_all(escaped(&names.join(", ")).as_bytes())?,
+            "title" => out.write_all(escape(&names.join(", ")).as_bytes())?,
             "style" => out.write_all(STYLE.as_bytes())?,
             // Only this character can end the element.
             "config" => out.write_all(serde_json::to_string(config)?.replace('<', "\\u003c").as_bytes())?,
@@ -137,8 +138,4 @@ fn policy(script: &str, requests: Requests) -> String {
         "default-src 'none'; script-src 'sha256-{script}'; worker-src blob:; style-src 'unsafe-inline'; \
          img-src data: blob:{image}; connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;")
 }

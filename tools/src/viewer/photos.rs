@@ -3,15 +3,14 @@ use super::{
     cameras::{InputCamera, QUALITY},
     live::{LiveScene, Source},
     page::{ShownScene, View},
-    watched::Target,
+    watched::{SHOWN, Target},
 };
 use crate::{
-    antialiasing::Antialiasing,
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
     html::data_url,
-    options::{Network, Quality, Weights, parse_length},
-    photos::{self, Reading},
+    options::{Antialiasing, Quality, Weights, parse_length},
+    photos::{self, Photographed, Reading},
     refinement::{Initialization, RefineArgs, placed},
     session::Session,
     table::counted,
@@ -21,12 +20,16 @@ use crate::{
 use clap::Args;
 use std::{
     path::{Path, PathBuf},
-    sync::{Mutex, atomic::AtomicU64},
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, AtomicU64},
+    },
 };
 use zipsplat::{
     Error, Result,
     gpu::Progress,
     reconstruct::{MAX_VIEWS, Ratio, Shape},
+    refine::RefineOptions,
     types::{
         Camera, PointCloud, Pose,
         poses::{Capture, CaptureView, read_cloud},
@@ -40,7 +43,7 @@ pub struct FromPhotos {
     #[command(flatten)]
     pub reading: Reading,
     #[command(flatten)]
-    weights: Weights,
+    pub weights: Weights,
     #[command(flatten)]
     pub quality: Quality,
     #[command(flatten)]
@@ -52,12 +55,12 @@ pub struct FromPhotos {
     #[command(flatten)]
     pub(super) finding: Finding,
     /// Length in the cameras' unit that is 1 for the network, as in reconstruct
-    #[arg(long, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
+    #[arg(long, alias = "unit", value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
     pub(super) scene_scale: Option<f64>,
     /// Ratios of the scenes in a written page, and of pixel scenes, at most 8 [default:
     /// 1,0.5,0.25,0.1 without duplicates]
     #[arg(long, value_name = "R,R,..", value_delimiter = ',')]
-    ratios: Vec<f64>,
+    pub ratios: Vec<f64>,
     #[command(flatten)]
     refine: RefineArgs,
 }
@@ -70,24 +73,14 @@ pub struct Ready<'a> {
     pub live: Live<'a>,
     /// In the scene's world.
     pub cameras: Vec<InputCamera>,
-    names: Vec<String>,
+    pub(super) names: Vec<String>,
     pub(super) photos: Vec<PathBuf>,
     pub(super) frames: Vec<CaptureView>,
     cloud: Option<PointCloud>,
     _folder: Option<FrameFolder>,
 }
 
-pub(super) struct Photographed {
-    pub photos: Vec<PathBuf>,
-    pub known: Option<KnownCameras>,
-    pub folder: Option<FrameFolder>,
-}
-
 impl FromPhotos {
-    pub fn network(&self) -> Result<Network> {
-        self.weights.open_network()
-    }
-
     pub(super) fn photographed(
         &self,
         session: &mut Session<'_>,
@@ -116,10 +109,6 @@ impl FromPhotos {
             ("--camera-model", self.reading.camera_model.is_some()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
-    }
-
-    pub fn lists_ratios(&self) -> bool {
-        !self.ratios.is_empty()
     }
 
     pub fn refines(&self) -> bool {
@@ -226,7 +215,7 @@ impl FromPhotos {
         let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
         let frames: Vec<&CaptureView> = ready.frames.iter().collect();
         let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
-        let (start, tokens) = if steps.tokens {
+        let (target, tokens) = if steps.tokens {
             let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
             (Target::Tokens(live.tokens()?), Some(shown))
         } else {
@@ -247,7 +236,16 @@ impl FromPhotos {
         let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind), &ready.photos);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
-        Ok(Some(Watched::new(start, tokens, (self.finding.masks(), known), cameras, request)))
+        Ok(Some(Watched {
+            target,
+            tokens,
+            masks: self.finding.masks(),
+            known,
+            cameras,
+            request: RefineOptions { snapshots: SHOWN, ..request },
+            now: Mutex::default(),
+            stop: AtomicBool::new(false),
+        }))
     }
 }
 
@@ -262,10 +260,6 @@ impl Ready<'_> {
 
     pub fn view(&self, index: usize) -> Result<Vec<u8>> {
         self.live.images[index].jpeg(QUALITY)
-    }
-
-    pub fn view_count(&self) -> usize {
-        self.names.len()
     }
 }
 

@@ -1,12 +1,8 @@
-use super::{
-    FromPhotos,
-    cameras::InputCamera,
-    page::ShownScene,
-    photos::{Photographed, input_cameras},
-};
+use super::{FromPhotos, cameras::InputCamera, page::ShownScene, photos::input_cameras};
 use crate::{
     depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras},
     options::refuse,
+    photos::Photographed,
     session::{Session, Stage},
     video::FrameFolder,
     views::Crop,
@@ -60,7 +56,7 @@ impl FromPhotos {
         let mut predictor = options.open(session, &device)?;
         let (mut scenes, mut cameras) = (Vec::new(), Vec::new());
         for ratio in ratios {
-            predictor.keep(Ratio::Fixed(ratio));
+            predictor.request.ratio = Ratio::Fixed(ratio);
             let predict = |stage: &Stage<'_>| predictor.predict(prepared.clone(), stage);
             let (mut predicted, _) = session.stage("depth", predict)?;
             predicted.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;

@@ -4,6 +4,7 @@ use super::server::Answer;
 use crate::{
     animation::{Animation, common_size},
     pictures::{self, Sinks},
+    process::lock,
     scratch::Scratch,
     session::Stage,
 };
@@ -74,7 +75,7 @@ impl Studio {
         let file = folder.path().join(name);
         let animation = Animation::new(&file, wanted.fps, &self.ffmpeg)?;
         let request = RenderOptions { background: wanted.background, ..RenderOptions::default() };
-        let mut cached = self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let mut cached = lock(&self.renderer);
         let renderer = match &mut *cached {
             Some(renderer) => renderer,
             None => cached.insert(Renderer::new(&Device::open(&self.options)?)),

@@ -1,3 +1,4 @@
+use crate::stamp::hex;
 use http_body_util::{BodyExt, Full, LengthLimitError, Limited};
 use hyper::{
     Method, Request, Response, StatusCode,
@@ -76,8 +77,7 @@ impl Server {
         let port = listener.local_addr()?.port();
         let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes).map_err(Error::other)?;
-        let token = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { listener, token, port })
+        Ok(Self { listener, token: hex(&bytes), port })
     }
 
     pub fn address(&self) -> String {

@@ -2,12 +2,13 @@ use super::{live::LiveScene, page::ShownScene, photos::Ready};
 use crate::{
     known_depth::{KnownDepth, WithDepth},
     photos::PhotoFiles,
+    process::lock,
 };
 use serde::Serialize;
 use std::{
     ops::ControlFlow,
     sync::{
-        Mutex, MutexGuard,
+        Mutex,
         atomic::{AtomicBool, Ordering},
     },
 };
@@ -19,7 +20,8 @@ use zipsplat::{
     types::{Camera, Masks, Scene, poses::CaptureView},
 };
 
-const SHOWN: usize = 50;
+/// Snapshots of a refinement.
+pub(super) const SHOWN: usize = 50;
 
 pub enum Target {
     Scene(Scene),
@@ -27,18 +29,19 @@ pub enum Target {
 }
 
 pub struct Watched {
-    target: Target,
-    tokens: Option<(usize, Vec<u32>)>,
-    masks: Option<Masks>,
-    known: Option<KnownDepth>,
-    cameras: Vec<Camera>,
-    request: RefineOptions,
-    now: Mutex<Now>,
+    pub(super) target: Target,
+    /// Gaussians per token, and the tokens' patches.
+    pub(super) tokens: Option<(usize, Vec<u32>)>,
+    pub(super) masks: Option<Masks>,
+    pub(super) known: Option<KnownDepth>,
+    pub(super) cameras: Vec<Camera>,
+    pub(super) request: RefineOptions,
+    pub(super) now: Mutex<Now>,
     pub stop: AtomicBool,
 }
 
 #[derive(Clone, Default, Serialize)]
-struct Now {
+pub(super) struct Now {
     step: usize,
     steps: usize,
     losses: Vec<f32>,
@@ -54,25 +57,6 @@ struct Now {
 }
 
 impl Watched {
-    pub fn new(
-        target: Target,
-        tokens: Option<(usize, Vec<u32>)>,
-        (masks, known): (Option<Masks>, Option<KnownDepth>),
-        cameras: Vec<Camera>,
-        request: RefineOptions,
-    ) -> Self {
-        Self {
-            target,
-            tokens,
-            masks,
-            known,
-            cameras,
-            request: RefineOptions { snapshots: SHOWN, ..request },
-            now: Mutex::default(),
-            stop: AtomicBool::new(false),
-        }
-    }
-
     /// `progress` gets the finished fraction.
     pub fn run(&self, ready: &Ready<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
         let report = |at: RefineProgress<'_>| {
@@ -85,7 +69,7 @@ impl Watched {
         let arena = Arena::new(&live.device);
         let frames: Vec<&CaptureView> = ready.frames.iter().collect();
         let refined = PhotoFiles::new(&ready.photos, &frames, self.masks.clone()).and_then(|photos| {
-            let photos = WithDepth(photos, self.known.as_ref());
+            let photos = WithDepth(photos, self.known.as_ref(), None);
             match &self.target {
                 Target::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, report),
                 Target::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
@@ -96,11 +80,11 @@ impl Watched {
     }
 
     pub fn state(&self) -> Vec<u8> {
-        serde_json::to_vec(&*self.now()).expect("plain values")
+        serde_json::to_vec(&*lock(&self.now)).expect("plain values")
     }
 
     pub fn scene(&self) -> Option<LiveScene> {
-        let now = self.now();
+        let now = lock(&self.now);
         let name = match now.ended {
             Some(_) => "refined".to_owned(),
             None => format!("step {} of {}", now.step, now.steps),
@@ -111,7 +95,7 @@ impl Watched {
     }
 
     fn tell(&self, at: &RefineProgress<'_>) {
-        let mut now = self.now();
+        let mut now = lock(&self.now);
         (now.step, now.steps) = (at.step, at.steps);
         now.seconds_left = at.eta.as_secs_f64();
         now.losses.push(at.loss);
@@ -125,7 +109,7 @@ impl Watched {
     }
 
     fn end(&self, refined: Result<RefineResult>) -> Result<()> {
-        let mut now = self.now();
+        let mut now = lock(&self.now);
         let (ended, result) = match refined {
             Ok(refined) => {
                 let kept = format!("kept is step {}", refined.best_step);
@@ -145,9 +129,5 @@ impl Watched {
         };
         now.ended = Some(ended);
         result
-    }
-
-    fn now(&self) -> MutexGuard<'_, Now> {
-        self.now.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 }

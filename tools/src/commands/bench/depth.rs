@@ -102,7 +102,8 @@ impl Depth {
         let mut measured = Vec::new();
         for &(views, size) in &cases {
             let name = format!("{views} views of {size}");
-            let found = match session.stage(&name, |stage| self.measure(&model, views, size, &peak, stage)) {
+            let measure = |stage: &Stage<'_>| self.measure(&model, precision.name(), views, size, &peak, stage);
+            let found = match session.stage(&name, measure) {
                 // Rows too large for the device keep the earlier ones.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
@@ -110,10 +111,6 @@ impl Depth {
                 }
                 found => found?.0,
             };
-            let found: Vec<Row> = found
-                .into_iter()
-                .map(|row| Row { precision: precision.name(), network: network.clone(), ..row })
-                .collect();
             text += &describe(&found, &device.limits().name, &peak);
             measured.push(((views, size), PARTS.map(|part| milliseconds(&found, part))));
             rows.extend(found);
@@ -135,6 +132,7 @@ impl Depth {
     fn measure(
         &self,
         model: &DepthModel,
+        precision: &'static str,
         views: usize,
         Size(width, height): Size,
         peak: &Rate,
@@ -150,8 +148,8 @@ impl Depth {
         let write = |run: &mut Run| model.write_inputs(run, &tensors, shape, &images, &request);
         let parts = parts::measure(&mut run, write, part_of, self.repeats, peak, stage)?;
         let row = |part: Part| Row {
-            precision: "",
-            network: String::new(),
+            precision,
+            network: model.architecture().name.clone(),
             views,
             width,
             height,
@@ -204,7 +202,7 @@ fn compare(found: &Pytorch<PytorchRow>, measured: &[((usize, Size), [f64; 2])]) 
 fn pytorch_rows(found: &Pytorch<PytorchRow>, rows: &[Row]) -> Vec<Row> {
     let totals = rows.iter().filter(|row| row.part.stage.is_empty());
     let of = |(row, ours): (&PytorchRow, &Row)| {
-        let parts = row.parts().map(|(part, ms)| Part::of(format!("PyTorch f32 {part}"), ms));
+        let parts = row.parts().map(|(part, ms)| Part { stage: format!("PyTorch f32 {part}"), ms, ..Part::default() });
         parts.map(|part| Row { part, peak_bytes: 0, arena_bytes: 0, ..ours.clone() }).collect::<Vec<_>>()
     };
     found.rows.iter().zip(totals).flat_map(of).collect()

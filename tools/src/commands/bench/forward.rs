@@ -34,7 +34,7 @@ pub struct Forward {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
     /// Keys and values of attention across views
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
+    #[arg(long, alias = "pool", value_name = "LIST", value_delimiter = ',', default_value = "1")]
     kv_pool: Vec<KvPool>,
     /// Network input size [default: the trained size]
     #[arg(long, value_name = "WxH")]
@@ -46,11 +46,6 @@ pub struct Forward {
     /// Also time PyTorch with this Python, on its GPU or CPU
     #[arg(long, value_name = "PYTHON")]
     pytorch: Option<PathBuf>,
-}
-
-struct Compared {
-    text: String,
-    rows: Vec<Row>,
 }
 
 #[derive(Clone, Serialize)]
@@ -105,7 +100,9 @@ impl Forward {
         let (mut rows, mut text) = (Vec::new(), String::new());
         for (views, request) in &requests {
             let name = format!("{views} views");
-            let measured = session.stage(&name, |stage| self.measure(&model, &images[..*views], request, &peak, stage));
+            let images = &images[..*views];
+            let measured =
+                session.stage(&name, |stage| self.measure(&model, precision.name(), images, request, &peak, stage));
             let measured = match measured {
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
@@ -113,16 +110,16 @@ impl Forward {
                 }
                 measured => measured?.0,
             };
-            text += &describe(&measured, precision.name(), &device.limits().name, &peak);
-            rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
+            text += &describe(&measured, &device.limits().name, &peak);
+            rows.extend(measured);
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
             // PyTorch has no pooling.
             let is_like = |row: &&Row| row.part.stage.is_empty() && row.pool == "1";
             let totals: Vec<Row> = rows.iter().filter(is_like).cloned().collect();
             let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
-            text += &compared.text;
-            rows.extend(compared.rows);
+            text += &compared.0;
+            rows.extend(compared.1);
             Ok(())
         });
         // PyTorch may fail.
@@ -130,18 +127,16 @@ impl Forward {
         compared
     }
 
-    fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
-        let list = |number: &dyn Fn(&Row) -> String| totals.iter().map(number).collect::<Vec<_>>().join(",");
-        let [warmup, repeats] = self.repeats.words();
-        let options = [
-            ("--architecture", serde_json::to_string(checkpoint.architecture()).expect("numbers and names are JSON")),
-            ("--size", size.to_string()),
-            ("--views", list(&|row| row.views.to_string())),
-            ("--ratio", list(&|row| row.ratio.to_string())),
-            ("--warmup", warmup),
-            ("--repeats", repeats),
-        ];
-        let words = options.into_iter().flat_map(|(name, value)| [name.to_owned(), value]);
+    fn compare(
+        &self,
+        python: &Path,
+        checkpoint: &Checkpoint,
+        size: Size,
+        totals: &[Row],
+    ) -> Result<(String, Vec<Row>)> {
+        let architecture = serde_json::to_string(checkpoint.architecture()).expect("numbers and names are JSON");
+        let words = [architecture].into_iter().chain(self.repeats.words()).chain([size.to_string()]);
+        let words = words.chain(totals.iter().map(|row| format!("{}:{}", row.views, row.ratio)));
         let mut found: Pytorch<PytorchRow> = python::FORWARD.run(python, None, words)?;
         let mut table =
             Table::new(1, &["PyTorch", "views", "ratio", "ms: median (min..max)", "peak", "its time / ours"]);
@@ -161,19 +156,22 @@ impl Forward {
                 part: Part {
                     gflop: ours.part.gflop,
                     gflop_per_s: ms.rate((1e9 * ours.part.gflop) as u64),
-                    ..Part::of(format!("PyTorch {}", pytorch.precision), ms)
+                    stage: format!("PyTorch {}", pytorch.precision),
+                    ms,
+                    ..Part::default()
                 },
                 peak_bytes: pytorch.peak_bytes.unwrap_or(0),
                 arena_bytes: 0,
                 ..ours.clone()
             });
         }
-        Ok(Compared { text: format!("{}\n{table}", found.name()), rows })
+        Ok((format!("{}\n{table}", found.name()), rows))
     }
 
     fn measure(
         &self,
         model: &Model,
+        precision: &'static str,
         images: &[Image],
         request: &ReconstructOptions,
         peak: &Rate,
@@ -187,7 +185,7 @@ impl Forward {
         let write = |run: &mut Run| model.write_inputs(run, &tensors, shape, images, request);
         let parts = parts::measure(&mut run, write, stage_of, self.repeats, peak, stage)?;
         let row = |part: Part| Row {
-            precision: "",
+            precision,
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
@@ -200,14 +198,15 @@ impl Forward {
     }
 }
 
-fn describe(rows: &[Row], precision: &str, device: &str, peak: &Rate) -> String {
+fn describe(rows: &[Row], device: &str, peak: &Rate) -> String {
     let Some(total) = rows.first() else { return String::new() };
     let pooled = if total.pool == "1" { String::new() } else { format!(" --kv-pool {},", total.pool) };
     let table = parts::table(rows.iter().map(|row| &row.part));
     format!(
-        "{} views, {} tokens,{pooled} {precision} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
+        "{} views, {} tokens,{pooled} {} precision on {device}: {} at most, {} of it the arena; peak: {peak}\n{table}\n",
         total.views,
         total.tokens,
+        total.precision,
         bytes(total.peak_bytes),
         bytes(total.arena_bytes)
     )

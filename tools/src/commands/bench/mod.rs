@@ -83,7 +83,7 @@ fn timed_device(session: &mut Session<'_>) -> Result<Device> {
     Ok(device)
 }
 
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize)]
 struct Spread {
     median: f64,
     min: f64,

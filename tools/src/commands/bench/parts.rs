@@ -7,7 +7,7 @@ use zipsplat::{
     gpu::{Profile, ProfileRow, Run},
 };
 
-#[derive(Clone, Serialize)]
+#[derive(Clone, Default, Serialize)]
 pub struct Part {
     /// Empty for all.
     pub stage: String,
@@ -33,10 +33,6 @@ impl Part {
             gflop_per_s: rate,
             peak_share: peak.share(rate),
         }
-    }
-
-    pub fn of(stage: String, ms: Spread) -> Self {
-        Self { stage, kernel: String::new(), commands: 0, ms, gflop: 0.0, gflop_per_s: 0.0, peak_share: None }
     }
 }
 

@@ -73,7 +73,7 @@ impl Peak {
         }
         for rate in rates.iter().filter(|rate| rate.difference > EQUAL || rate.difference.is_nan()) {
             session.note(format!("{} gave a wrong result: its rate means nothing", rate.what));
-            session.end_with(5);
+            session.code = 5;
         }
         session.report(&rates, format!("{}\n{table}", device.limits().name))
     }

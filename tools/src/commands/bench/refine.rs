@@ -63,7 +63,7 @@ pub struct Refine {
     repeats: Repeats,
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct Row {
     gaussians: usize,
     width: u32,
@@ -260,13 +260,7 @@ impl Case {
             height: self.size.1,
             sh_degree: self.scene.sh_degree,
             photos: self.photos.len(),
-            what: String::new(),
-            commands: 0,
-            ms: Spread::of([Duration::ZERO]),
-            pictures: None,
-            bandwidth_share: None,
-            fma_share: None,
-            peak_bytes: 0,
+            ..Row::default()
         }
     }
 }

@@ -2,7 +2,7 @@ mod summary;
 
 use crate::{
     depth::DEPTH_WEIGHTS,
-    options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
+    options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse, refuse_all},
     outputs::{self, Overwrite, size_of},
     released::{is_of_depth, open_complete_depth},
     session::Session,
@@ -72,9 +72,8 @@ impl Convert {
     }
 
     fn summarize(&self, session: &mut Session<'_>, is_scene: bool) -> Result<()> {
-        for (option, given) in [("--dtype", self.dtype.is_some()), ("--spz-version", self.spz_version.is_some())] {
-            refuse(option, given, "no output", "a file to write")?;
-        }
+        let options = [("--dtype", self.dtype.is_some()), ("--spz-version", self.spz_version.is_some())];
+        refuse_all(options, "no output", "a file to write")?;
         let path = Path::new(&self.input);
         if path.is_dir() {
             let found = format!("the folder {}", path.display());
@@ -92,8 +91,8 @@ impl Convert {
     }
 
     fn scene(&self, session: &mut Session<'_>, output: &Path, format: SceneFormat) -> Result<()> {
-        refuse("--dtype", self.dtype.is_some(), "a scene", "a checkpoint")?;
-        refuse("--variant", self.variant.is_some(), "a scene", "a checkpoint")?;
+        let options = [("--dtype", self.dtype.is_some()), ("--variant", self.variant.is_some())];
+        refuse_all(options, "a scene", "a checkpoint")?;
         let is_spz = format == SceneFormat::Spz;
         refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
@@ -113,21 +112,17 @@ impl Convert {
         self.scene_input.refuse("a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         if is_of_depth(&self.input) {
-            return self.depth_checkpoint(session, output, dtype);
+            refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
+            let checkpoint = open_complete_depth(&self.input)?;
+            session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
+            let of = checkpoint.architecture();
+            return report(session, output, &of.name, json!(of), of.parameter_count(), dtype);
         }
         let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
-        checkpoint.notes().iter().for_each(|note| session.note(note));
+        session.notes(checkpoint.notes());
         session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
-        let architecture = checkpoint.architecture();
-        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
-    }
-
-    fn depth_checkpoint(&self, session: &mut Session<'_>, output: &Path, dtype: Dtype) -> Result<()> {
-        refuse("--variant", self.variant.is_some(), DEPTH_WEIGHTS, "weights of ZipSplat")?;
-        let checkpoint = open_complete_depth(&self.input)?;
-        session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
-        let architecture = checkpoint.architecture();
-        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
+        let of = checkpoint.architecture();
+        report(session, output, &of.name, json!(of), of.parameter_count(), dtype)
     }
 }
 

@@ -6,7 +6,7 @@ use crate::{
     known_depth::{PHOTOS, VALUES},
     masks::MaskArgs,
     options::ArithmeticOption,
-    outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
+    outputs::{Overwrite, check_folder, make_folder, save_depth, save_picture},
     photos::{self, PhotoArgs, unique_stems},
     released::open_depth,
     session::{Session, stage_seconds},
@@ -67,7 +67,7 @@ pub struct Depth {
     source: CamerasFrom,
     /// Depth in meters, by da3metric-large and cameras with positions in meters. Otherwise depth of
     /// single-view networks is aligned to the cameras' points
-    #[arg(long, requires = "cameras")]
+    #[arg(long, alias = "metres", requires = "cameras")]
     metric: bool,
     /// Also run VGGT's point head, for world points and confidence in depths.safetensors and in
     /// points.ply
@@ -80,7 +80,7 @@ pub struct Depth {
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(14..=8192))]
     input_size: Option<u32>,
     /// Largest number of points in points.ply
-    #[arg(long, value_name = "N", default_value = "200000")]
+    #[arg(long, alias = "points", value_name = "N", default_value = "200000")]
     max_points: usize,
     /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
     /// video]
@@ -90,7 +90,7 @@ pub struct Depth {
     model: ModelOption,
     /// Also print errors relative to this capture: its transforms.json or COLMAP model, and any
     /// depth/NAME.npy (f32 [height, width], z in the cameras' unit)
-    #[arg(long, value_name = "CAPTURE")]
+    #[arg(long, alias = "truth", value_name = "CAPTURE")]
     ground_truth: Option<PathBuf>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
@@ -105,7 +105,8 @@ impl Depth {
         let place = self.output.join(CAMERAS);
         let (no_masks, named_in) = (MaskArgs::default(), Some((&*place, self.overwrite)));
         let unposed = self.cameras.is_none().then_some(&no_masks);
-        let (files, mut folder) = self.input.list(session, self.views, unposed, named_in)?;
+        let (files, mut folder) =
+            self.input.reading.list(session, (&self.input.photos, self.views), unposed, named_in)?;
         let files = photos::spread(files, self.views.filter(|_| unposed.is_none()));
         let known = self.known(&files)?;
         self.check(&files)?;
@@ -203,7 +204,7 @@ impl Depth {
         let farthest = behind.iter().flatten().copied().filter(|depth| depth.is_finite()).fold(0.0, f32::max);
         let levels = f32::from(u16::MAX) / farthest.max(f32::MIN_POSITIVE);
         for (name, depth) in names.iter().zip(&behind) {
-            save_depth_levels(&self.output.join(picture(name, "depth")), size, depth, levels)?;
+            save_depth(&self.output.join(picture(name, "depth")), size, depth, levels)?;
             save_picture(&self.output.join(picture(name, "colors")), &colored(depth, size)?)?;
         }
         Ok(levels)

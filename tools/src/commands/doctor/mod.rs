@@ -115,7 +115,7 @@ impl Doctor {
             return Err(Error::DeviceLost);
         }
         if outside > 0 {
-            session.end_with(OUTSIDE);
+            session.code = OUTSIDE;
         }
         Ok(())
     }

@@ -1,8 +1,7 @@
-use super::{Eval, Scaling, alignment::Alignment};
+use super::{Eval, Scaling, alignment::Alignment, external_scene::depth_scene};
 use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::{DepthPredictor, PredictorOptions},
-    known_depth::WithDepth,
     options::{Network as Weighed, Quality, refuse},
     refinement::{self, Initialization, Refinable, RefineTask},
     released::open_depth,
@@ -133,7 +132,7 @@ impl<'a> Evaluator<'a> {
         from: &str,
     ) -> Result<()> {
         let scene = if Path::new(from).is_dir() {
-            super::depth::scene(Path::new(from), choice, capture)?
+            depth_scene(Path::new(from), choice, capture)?
         } else {
             let predictor = match self.scaler.take() {
                 Some(predictor) => predictor,
@@ -144,11 +143,8 @@ impl<'a> Evaluator<'a> {
                 }
             };
             let (predictor, frames) = (self.scaler.insert(predictor), choice.input_frames());
-            let (mut predicted, _) = session.stage("depth", |stage| {
-                let prepared = predictor.prepare(&choice.inputs(), &frames, choice.masks.as_ref(), stage)?;
-                predictor.predict(prepared, stage)
-            })?;
-            predicted.scale(false, choice.cloud())?;
+            let (mut predicted, _) = predictor.see(session, &choice.inputs(), &frames, choice.masks.as_ref())?;
+            predicted.scale(false, choice.poses.points.as_deref())?;
             predicted.scene(&frames[0].camera.pose, None)?
         };
         capture.rescale_to(&scene, from.to_owned())
@@ -188,8 +184,8 @@ impl<'a> Evaluator<'a> {
             self.model = Some(session.load_model(&self.device, checkpoint, self.arithmetic)?.0);
         }
         let model = self.model.as_ref().expect("it was loaded");
-        let images = capture.images();
-        let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
+        let images = &capture.views.images;
+        let (cameras, world) = self.seeing.crop.network_cameras(capture.views.cameras.clone());
         let mut request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
         let blocks = eval.blocks.choose(model, images.len(), self.seeing.size, &mut request, |_, _| Ok(1.0))?;
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
@@ -265,8 +261,7 @@ fn refine(
     }
     let mut best: Option<RefineResult> = None;
     loop {
-        let photos = WithDepth(&photos, known.as_ref());
-        let refined = refinement::refine(session, arena, from, photos, &cameras, &request)?;
+        let refined = refinement::refine(session, arena, from, (&photos, known.as_ref()), &cameras, &request)?;
         let gain = best.as_ref().map_or(f64::INFINITY, |best| refined.training_psnr[0] - best.training_psnr[0]);
         match (&refined.stop_reason, &mut request.length) {
             (Some(StopReason::Cancelled), _) => return Err(Error::Cancelled),

@@ -1,15 +1,18 @@
-use super::{depth, evaluator::Reconstruction};
+use super::evaluator::Reconstruction;
 use crate::{
     cameras::Similarity,
     capture::{Choice, ViewSplit},
+    known_depth,
     options::{SceneInput, parse_length},
     session::Session,
+    views::Views,
 };
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
+    depth::add_view,
     types::{
         Origin, Pose, Scene, SceneFormat,
         poses::{Capture, CaptureView},
@@ -33,7 +36,7 @@ pub struct ExternalScene {
     from_depth: Option<PathBuf>,
     /// World of --scene [default: aligned with --scene-cameras, else the file's, else
     /// first-camera]
-    #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
+    #[arg(long, alias = "world", value_enum, value_name = "WHOSE", requires = "scene")]
     scene_frame: Option<SceneFrame>,
     /// Cameras of the input photos in the scene's world, for --scene-frame aligned, as for
     /// --cameras; with --protocol a folder of NAME.json or COLMAP models NAME/
@@ -77,7 +80,7 @@ impl ExternalScene {
 
     pub fn key(&self) -> String {
         let Self { scene, from_depth, scene_frame, scene_cameras, scene_unit, opacities, input } = self;
-        let antialiased = input.antialiased.given();
+        let antialiased = input.antialiased.antialiased;
         format!(
             "{scene:?} {from_depth:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?} {antialiased:?}"
         )
@@ -93,7 +96,7 @@ impl ExternalScene {
         match (&self.from_depth, self.file(name)?) {
             (Some(folder), _) => {
                 let folder = name.map_or_else(|| folder.clone(), |name| folder.join(name));
-                depth::scene(&folder, choice, capture).map(|scene| Some(Reconstruction::given(scene)))
+                depth_scene(&folder, choice, capture).map(|scene| Some(Reconstruction::given(scene)))
             }
             (None, Some(file)) => self.read(session, &file, name, choice, capture).map(Some),
             (None, None) => Ok(None),
@@ -179,6 +182,20 @@ impl ExternalScene {
             Error::argument("--scene-cameras", path.display(), expected)
         })
     }
+}
+
+/// Returns a scene of a folder's depth at the network's size, in the capture's world and unit.
+pub fn depth_scene(folder: &Path, choice: &Choice, capture: &ViewSplit) -> Result<Scene> {
+    let mut scene = Scene { sh_degree: 0, ..Scene::default() };
+    let Views { cameras, images, .. } = &capture.views;
+    let depths = known_depth::read(folder, &choice.input_frames(), cameras, capture.scene_scale.length)?;
+    for ((camera, image), depth) in cameras.iter().zip(images).zip(&depths) {
+        add_view(&mut scene, camera, image, depth);
+    }
+    if scene.is_empty() {
+        return Err(Error::argument("--from-depth", "no depth above 0", "depth of what the photos show"));
+    }
+    Ok(scene)
 }
 
 /// `first`: pose of the capture's first input.

@@ -1,7 +1,7 @@
 use super::Eval;
 use crate::{
     metrics::{self, masked_ssim, psnr, values},
-    options::refuse,
+    options::refuse_all,
     outputs, photos,
     session::{Session, Stage},
     table::{Table, counted},
@@ -14,13 +14,6 @@ use zipsplat::{
     perceptual::Perceptual,
     types::{Image, Masks},
 };
-
-/// Pictures, or folders of pictures matched by file name without extension.
-pub struct ImageSets<'a> {
-    pub eval: &'a Eval,
-    pub first: &'a PathBuf,
-    pub second: &'a PathBuf,
-}
 
 #[derive(Clone, Serialize)]
 struct Row {
@@ -36,98 +29,89 @@ struct Pair {
     difference: Option<PathBuf>,
 }
 
-impl ImageSets<'_> {
-    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        let eval = self.eval;
-        for (option, given) in [
-            ("--views", !eval.views.is_empty()),
-            ("--targets", eval.targets.is_some()),
-            ("--cameras", eval.cameras.is_some()),
-            ("--pose-free", eval.pose_free),
-            ("--refine", eval.refine.steps().is_some()),
-            ("--scene or --from-depth", eval.external.given().is_some()),
-            ("--output", eval.output.is_some()),
-        ] {
-            refuse(option, given, "two sets of pictures", "a capture")?;
-        }
-        let pairs = self.pairs(session)?;
-        let mut written = eval.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
-        written.try_for_each(|file| eval.overwrite.check_file(file))?;
-        let device = session.device()?;
-        let mut lpips = eval.lpips.open(&device, false, false)?;
-        if lpips.is_none() && eval.lpips.is_default() {
-            session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
-        }
-        let masks = eval.finding.masks();
-        let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, masks.as_ref(), lpips.as_mut()));
-        let (rows, _) = session.stage("compare", compared)?;
-        let small = rows.iter().filter(|row| row.lpips.is_none()).count();
-        if let Some(lpips) = lpips.filter(|_| small > 0) {
-            let (side, small) = (lpips.network().least_side(), counted(small, "pair"));
-            session.note(format!("{small} without LPIPS, whose network takes pictures of {side}x{side} and larger"));
-        }
-        if let Some(path) = &eval.csv {
-            outputs::save_csv(path, &rows)?;
-        }
-        let mean = mean(&rows);
-        let mut table = Table::new(1, &["picture", "PSNR", "SSIM", "LPIPS"]);
-        for row in rows.iter().chain((rows.len() > 1).then_some(&mean)) {
-            let psnr = row.psnr.map_or("equal".into(), |psnr| format!("{psnr:.2}"));
-            let lpips = row.lpips.map_or("-".into(), |lpips| format!("{lpips:.4}"));
-            table.row([row.name.clone(), psnr, format!("{:.4}", row.ssim), lpips]);
-        }
-        session.report(&json!({ "pictures": rows, "mean": mean }), table.to_string().trim_end())
+/// Pictures, or folders of pictures matched by file name without extension.
+pub fn run(eval: &Eval, sets: [&PathBuf; 2], session: &mut Session<'_>) -> Result<()> {
+    let options = [
+        ("--views", !eval.views.is_empty()),
+        ("--targets", eval.targets.is_some()),
+        ("--cameras", eval.cameras.is_some()),
+        ("--pose-free", eval.pose_free),
+        ("--refine", eval.refine.steps().is_some()),
+        ("--scene or --from-depth", eval.external.given().is_some()),
+        ("--output", eval.output.is_some()),
+    ];
+    refuse_all(options, "two sets of pictures", "a capture")?;
+    let pairs = pairs(eval, sets, session)?;
+    let mut written = eval.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
+    written.try_for_each(|file| eval.overwrite.check_file(file))?;
+    let device = session.device()?;
+    let mut lpips = eval.lpips.open(&device, false, false)?;
+    if lpips.is_none() && eval.lpips.lpips.is_none() {
+        session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
     }
+    let masks = eval.finding.masks();
+    let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, masks.as_ref(), lpips.as_mut()));
+    let (rows, _) = session.stage("compare", compared)?;
+    let small = rows.iter().filter(|row| row.lpips.is_none()).count();
+    if let Some(lpips) = lpips.filter(|_| small > 0) {
+        let (side, small) = (lpips.network().least_side(), counted(small, "pair"));
+        session.note(format!("{small} without LPIPS, whose network takes pictures of {side}x{side} and larger"));
+    }
+    if let Some(path) = &eval.csv {
+        outputs::save_csv(path, &rows)?;
+    }
+    let mean = mean(&rows);
+    let mut table = Table::new(1, &["picture", "PSNR", "SSIM", "LPIPS"]);
+    for row in rows.iter().chain((rows.len() > 1).then_some(&mean)) {
+        let psnr = row.psnr.map_or("equal".into(), |psnr| format!("{psnr:.2}"));
+        let lpips = row.lpips.map_or("-".into(), |lpips| format!("{lpips:.4}"));
+        table.row([row.name.clone(), psnr, format!("{:.4}", row.ssim), lpips]);
+    }
+    session.report(&json!({ "pictures": rows, "mean": mean }), table.to_string().trim_end())
+}
 
-    fn pairs(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
-        let [first, second] = [self.first, self.second];
-        match [first.is_dir(), second.is_dir()] {
-            [false, false] => {
-                let (files, difference) = ([first.clone(), second.clone()], self.eval.difference.clone());
-                Ok(vec![Pair { name: stem(first), files, difference }])
-            }
-            [true, true] => self.pairs_of_folders(session),
-            [folder, _] => {
-                let kind = |folder: bool| if folder { "a folder" } else { "a picture" };
-                let found = format!("{} and {}", kind(folder), kind(!folder));
-                Err(Error::argument("pictures to compare", found, "two pictures or two folders"))
-            }
+fn pairs(eval: &Eval, [first, second]: [&PathBuf; 2], session: &mut Session<'_>) -> Result<Vec<Pair>> {
+    match [first.is_dir(), second.is_dir()] {
+        [false, false] => {
+            let (files, difference) = ([first.clone(), second.clone()], eval.difference.clone());
+            Ok(vec![Pair { name: stem(first), files, difference }])
+        }
+        [true, true] => pairs_of_folders(eval, [first, second], session),
+        [folder, _] => {
+            let kind = |folder: bool| if folder { "a folder" } else { "a picture" };
+            let found = format!("{} and {}", kind(folder), kind(!folder));
+            Err(Error::argument("pictures to compare", found, "two pictures or two folders"))
         }
     }
+}
 
-    fn pairs_of_folders(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
-        let [ours, others] =
-            [self.first, self.second].map(|folder| photos::list(session, std::slice::from_ref(folder), false));
-        let (ours, mut others) = (ours?, others?);
-        let mut pairs = Vec::new();
-        let mut alone = Vec::new();
-        for file in ours {
-            let name = stem(&file);
-            match others.iter().position(|other| stem(other) == name) {
-                Some(i) => {
-                    let difference = self.eval.difference.as_ref().map(|folder| folder.join(format!("{name}.png")));
-                    pairs.push(Pair { name, files: [file, others.swap_remove(i)], difference });
-                }
-                None => alone.push(file),
+fn pairs_of_folders(eval: &Eval, sets: [&PathBuf; 2], session: &mut Session<'_>) -> Result<Vec<Pair>> {
+    let [ours, others] = sets.map(|folder| photos::list(session, std::slice::from_ref(folder), false));
+    let (ours, mut others) = (ours?, others?);
+    let mut pairs = Vec::new();
+    let mut alone = Vec::new();
+    for file in ours {
+        let name = stem(&file);
+        match others.iter().position(|other| stem(other) == name) {
+            Some(i) => {
+                let difference = eval.difference.as_ref().map(|folder| folder.join(format!("{name}.png")));
+                pairs.push(Pair { name, files: [file, others.swap_remove(i)], difference });
             }
+            None => alone.push(file),
         }
-        alone.extend(others);
-        if pairs.is_empty() {
-            let found = format!("none in {} and {}", self.first.display(), self.second.display());
-            return Err(Error::argument("pictures of the same name", found, "at least one"));
-        }
-        if !alone.is_empty() {
-            session.note(format_args!(
-                "{} without a partner: {}",
-                counted(alone.len(), "picture"),
-                photos::names(&alone)
-            ));
-        }
-        if let Some(folder) = &self.eval.difference {
-            outputs::make_folder(folder)?;
-        }
-        Ok(pairs)
     }
+    alone.extend(others);
+    if pairs.is_empty() {
+        let found = format!("none in {} and {}", sets[0].display(), sets[1].display());
+        return Err(Error::argument("pictures of the same name", found, "at least one"));
+    }
+    if !alone.is_empty() {
+        session.note(format_args!("{} without a partner: {}", counted(alone.len(), "picture"), photos::names(&alone)));
+    }
+    if let Some(folder) = &eval.difference {
+        outputs::make_folder(folder)?;
+    }
+    Ok(pairs)
 }
 
 fn stem(path: &Path) -> String {

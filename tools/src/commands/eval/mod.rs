@@ -1,5 +1,4 @@
 mod alignment;
-mod depth;
 mod evaluator;
 mod external_scene;
 mod images;
@@ -24,7 +23,6 @@ use crate::{
     views::{Crop, CropOption, Seeing},
 };
 use clap::{Arg, Args, ValueEnum};
-use images::ImageSets;
 use std::{path::PathBuf, str::FromStr};
 use zipsplat::{Result, refine::RefineLength, weights::Checkpoint};
 
@@ -109,10 +107,10 @@ pub struct Eval {
     crop: CropOption,
     /// Compare whole photos, at the scale of --input-size, even if the network sees only their
     /// center; --crop tiles always does
-    #[arg(long)]
+    #[arg(long, alias = "whole")]
     full_images: bool,
     /// Size of the compared pictures [default: that of --input-size]
-    #[arg(long, value_name = "WxH")]
+    #[arg(long, alias = "score-size", value_name = "WxH")]
     eval_size: Option<Size>,
     /// Downscaling filter of the compared photos [default: lanczos; with --protocol bilinear]
     #[arg(long, value_enum, value_name = "FILTER")]
@@ -128,12 +126,12 @@ pub struct Eval {
     converge: bool,
     /// Perturb the input cameras except the first: rotate by this number of degrees, move by as
     /// many percent of the scene's distance
-    #[arg(long, value_name = "DEGREES", default_value = "0")]
+    #[arg(long, alias = "disturb", value_name = "DEGREES", default_value = "0")]
     pose_noise: f64,
     /// Length of the network's unit in the cameras' unit; or the median distance of the input
     /// photos' pixels from the first camera, by weights of Depth Anything 3 or a folder with
     /// NAME.npy as --from-depth [default: as of `reconstruct`]
-    #[arg(long, value_name = "LENGTH|WEIGHTS|DIR")]
+    #[arg(long, alias = "unit", value_name = "LENGTH|WEIGHTS|DIR")]
     scene_scale: Option<Scaling>,
     #[command(flatten)]
     lpips: LpipsOption,
@@ -176,15 +174,6 @@ impl FromStr for Scaling {
     }
 }
 
-impl Scaling {
-    fn length(&self) -> Option<f64> {
-        match self {
-            Self::Length(length) => Some(*length),
-            Self::Depth(_) => None,
-        }
-    }
-}
-
 /// `None` disables alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Aligning(Option<Method>);
@@ -209,7 +198,7 @@ impl Eval {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match (self.series.protocol, &self.folders[..]) {
             (Some(protocol), _) => series::run(self, protocol, session),
-            (None, [first, second]) => ImageSets { eval: self, first, second }.run(session),
+            (None, [first, second]) => images::run(self, [first, second], session),
             (None, _) => one::run(self, session),
         }
     }
@@ -247,7 +236,7 @@ impl Eval {
     }
 
     fn length(&self) -> Option<f64> {
-        self.scene_scale.as_ref().and_then(Scaling::length)
+        if let Some(Scaling::Length(length)) = self.scene_scale { Some(length) } else { None }
     }
 
     fn aligning(&self) -> Option<Method> {

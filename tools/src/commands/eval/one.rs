@@ -47,7 +47,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     if let (None, Network::Tokens(checkpoint)) = (eval.external.given(), &weights) {
         eval.check_shape(checkpoint, seeing, &choice)?;
     }
-    choice.notes().iter().for_each(|note| session.note(note));
+    session.notes(&choice.poses.warnings);
     let mut evaluator = Evaluator::new(eval, &weights, seeing, session)?;
     let evaluation = evaluator.evaluate(session, &choice, None)?;
 

@@ -1,6 +1,6 @@
-use super::rows::{Means, Row};
+use super::rows::{Means, Row, settings};
 use crate::html;
-use std::path::PathBuf;
+use std::{collections::BTreeSet, path::PathBuf};
 use zipsplat::{Result, types::Image};
 
 const SHOWN: usize = 24;
@@ -16,14 +16,9 @@ pub fn page(means: &Means, rows: &[Row]) -> Result<String> {
     means.lines.iter().for_each(|line| page += &format!("<tr>{}</tr>", cells(line, "td")));
     page += "</table><p class=\"note\">P, K: the method was given poses and intrinsics. #Gs: Gaussians. Figures are means over scenes. \
              Each picture has photos that no method has seen above, and what was drawn in their place below.</p>";
-    let mut settings: Vec<(usize, &str)> = rows.iter().map(|row| (row.views, row.rule.as_str())).collect();
-    settings.sort_unstable();
-    settings.dedup();
-    for setting in settings {
+    for setting in settings(rows) {
         let of_setting: Vec<&Row> = rows.iter().filter(|row| (row.views, row.rule.as_str()) == setting).collect();
-        let mut scenes: Vec<&str> = of_setting.iter().map(|row| row.scene.as_str()).collect();
-        scenes.sort_unstable();
-        scenes.dedup();
+        let scenes: BTreeSet<&str> = of_setting.iter().map(|row| row.scene.as_str()).collect();
         page += &format!("<h2>{} inputs ({})</h2>", setting.0, html::escape(setting.1));
         if scenes.len() > SHOWN {
             page += &format!("<p>The first {SHOWN} of {} scenes.</p>", scenes.len());

@@ -7,7 +7,7 @@ use crate::{
     cameras::Similarity,
     capture::{Choice, ViewSplit},
     depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras, square},
-    options::{Size, refuse},
+    options::{Size, refuse_all},
     session::Session,
     views::Crop,
 };
@@ -21,14 +21,13 @@ impl Eval {
     /// Returns the compared size.
     pub(super) fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<Size> {
         let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
-        for (option, given) in [("--crop tiles", self.crop.crop == Crop::Tiles), ("--refine-target tokens", tokens)] {
-            refuse(option, given, DEPTH_WEIGHTS, "weights of ZipSplat")?;
-        }
+        let options = [("--crop tiles", self.crop.crop == Crop::Tiles), ("--refine-target tokens", tokens)];
+        refuse_all(options, DEPTH_WEIGHTS, "weights of ZipSplat")?;
         self.quality.check_pixels(checkpoint)?;
         if self.pose_free {
             check_finds_cameras(checkpoint.architecture())?;
         }
-        Ok(self.quality.asked_size().unwrap_or(square(checkpoint)))
+        Ok(self.quality.input_size.unwrap_or(square(checkpoint)))
     }
 }
 
@@ -50,16 +49,14 @@ impl Evaluator<'_> {
         };
         let predictor = self.predictor.insert(predictor);
         // An earlier variant may have opened it.
-        predictor.select(&self.quality);
+        (predictor.request.ratio, predictor.request.token_selection) =
+            (self.quality.ratio, self.quality.token_selection.clone());
         let (inputs, pose_free) = (choice.input_frames(), self.eval.pose_free);
         let known = if pose_free { &[][..] } else { &inputs[..] };
-        let (mut predicted, took) = session.stage("depth", |stage| {
-            let prepared = predictor.prepare(&choice.inputs(), known, choice.masks.as_ref(), stage)?;
-            predictor.predict(prepared, stage)
-        })?;
+        let (mut predicted, took) = predictor.see(session, &choice.inputs(), known, choice.masks.as_ref())?;
         session.notes(&predicted.notes);
         if !pose_free {
-            predicted.scale(false, choice.cloud())?;
+            predicted.scale(false, choice.poses.points.as_deref())?;
         }
         let (first, keep) = (inputs[0].camera.pose, self.quality.kept());
         let mut scene = predicted.scene(&Pose::IDENTITY, keep)?;

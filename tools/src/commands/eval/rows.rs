@@ -1,11 +1,10 @@
-use crate::{
-    outputs::{MADE_BY, save_json},
-    photos::folders_in,
-    protocol::Protocol,
-};
+use crate::{outputs::MADE_BY, photos::folders_in, protocol::Protocol, stamp::entries};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 use zipsplat::Result;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -40,19 +39,13 @@ impl Row {
         let place = file.parent()?.to_owned();
         (row.generator == MADE_BY).then_some(Self { place, ..row })
     }
-
-    pub fn write(&self, file: &Path) -> Result<()> {
-        save_json(file, self)
-    }
 }
 
 pub fn read_all(folder: &Path, protocol: Protocol) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for way in folders_in(folder)? {
         for setting in folders_in(&way)? {
-            let entries = setting.read_dir().map_err(|error| zipsplat::Error::io(&setting, error))?;
-            let files = entries.filter_map(|entry| Some(entry.ok()?.path()));
-            let mut found: Vec<Row> = files.filter_map(|file| Row::read(&file)).collect();
+            let mut found: Vec<Row> = entries(&setting)?.iter().filter_map(|file| Row::read(file)).collect();
             found.retain(|row| row.protocol == name_of(protocol));
             found.sort_by(|a, b| a.scene.cmp(&b.scene));
             rows.extend(found);
@@ -65,6 +58,11 @@ pub fn name_of(protocol: Protocol) -> String {
     protocol.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
+/// Numbers of views and rules, sorted.
+pub fn settings(rows: &[Row]) -> BTreeSet<(usize, &str)> {
+    rows.iter().map(|row| (row.views, row.rule.as_str())).collect()
+}
+
 pub struct Means {
     pub title: String,
     pub headings: Vec<String>,
@@ -73,9 +71,7 @@ pub struct Means {
 
 impl Means {
     pub fn of(protocol: Protocol, rows: &[Row]) -> Self {
-        let mut settings: Vec<(usize, &str)> = rows.iter().map(|row| (row.views, row.rule.as_str())).collect();
-        settings.sort_unstable();
-        settings.dedup();
+        let settings = settings(rows);
         let mut ways: Vec<&Path> = rows.iter().filter_map(|row| row.place.parent()).collect();
         ways.dedup();
         let mut headings = ["Method", "P", "K"].map(str::to_owned).to_vec();

@@ -39,7 +39,7 @@ pub struct Options {
     pub protocol: Option<Protocol>,
     /// Choose inputs and targets among the first FRAMES frames: one value, or one per value of
     /// --views [default: for dl3dv 50, 100 and 150 with 6, 12 and 24 inputs; else all]
-    #[arg(long, value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
+    #[arg(long, alias = "gap", value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
     frame_range: Vec<usize>,
     /// Choose the frames of index files, one per number of inputs: {"SCENE": {"context": [0, 19,
     /// ..], "target": [1, 6, ..]}}, in the order of the camera file. Skips other scenes
@@ -126,10 +126,8 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     write_atomic(&out.join(PAGE), |file| file.write_all(page.as_bytes()))?;
     if !tally.failures.is_empty() {
         outputs::save_csv(&out.join(FAILURES), &tally.failures)?;
-        let failed = counted(tally.failures.len(), "scene");
-        session.note(format!("{}: {failed}", out.join(FAILURES).display()));
-        session.end_with(1);
     }
+    outputs::note_failures(session, out, &tally.failures, "scene");
     ended?;
     report(session, out, protocol, &rows, &means, &tally)
 }
@@ -144,16 +142,18 @@ impl Series<'_> {
         session: &mut Session<'_>,
     ) -> Result<()> {
         let limit = self.eval.series.limit.unwrap_or(usize::MAX);
-        let (all, began, unknown) = (places.len() * settings.len(), Instant::now(), tally.unknown);
+        let (all, began) = (places.len() * settings.len(), Instant::now());
+        let (evaluated, unknown) = (tally.evaluated, tally.unknown);
         for (i, (place, setting)) in places.iter().flat_map(|p| settings.iter().map(move |s| (p, s))).enumerate() {
             if tally.evaluated >= limit {
                 break;
             }
             let scene = format!("{} of {all}, {} {}", i + 1, place.name, setting.name());
             // Existing records take no time.
-            let rest = began.elapsed().checked_div(tally.evaluated as u32).map(|each| each * (all - i) as u32);
+            let done = (tally.evaluated - evaluated) as u32;
+            let rest = began.elapsed().checked_div(done).map(|each| each * (all - i) as u32);
             let rest = rest.map_or_else(String::new, |rest| format!(", all in about {}", HumanDuration(rest)));
-            session.begin_task(&format!("{scene}{rest}"));
+            session.task = format!("{scene}{rest}: ");
             match self.evaluate(place, setting, evaluator, &scene, session) {
                 Ok(Outcome::Evaluated) => tally.evaluated += 1,
                 Ok(Outcome::Unchanged) => tally.unchanged += 1,
@@ -216,7 +216,7 @@ impl Series<'_> {
         };
         outputs::make_folder(&folder)?;
         outputs::save_picture(&file.with_extension("png"), &pictures(&evaluation)?)?;
-        row.write(&file)?;
+        outputs::save_json(&file, &row)?;
         session.note(format!("{label}: {:.2} dB", row.psnr));
         Ok(Outcome::Evaluated)
     }
@@ -230,7 +230,8 @@ fn report(
     means: &Means,
     Tally { evaluated, unchanged, unknown, failures }: &Tally,
 ) -> Result<()> {
-    let table = Table::of(3, &means.headings, &means.lines);
+    let mut table = Table::new(3, &means.headings);
+    means.lines.iter().for_each(|line| table.row(line.clone()));
     let text = format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
     let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
     let text = outputs::and_others(text, &others);

@@ -3,20 +3,13 @@ use crate::{
     cameras::{EstimatedCameras, Finder, KnownCameras, Place},
     masks::MaskArgs,
     options::Network,
-    photos,
+    photos::{self, Photographed},
     refinement::Initialization,
     session::Session,
     video::FrameFolder,
 };
 use std::path::PathBuf;
-use zipsplat::{Error, Result, reconstruct::MAX_VIEWS, types::poses::Capture};
-
-pub struct Captured {
-    pub photos: Vec<PathBuf>,
-    pub poses: Option<Capture>,
-    pub frame_folder: Option<FrameFolder>,
-    pub found: Option<EstimatedCameras>,
-}
+use zipsplat::{Error, Result, reconstruct::MAX_VIEWS};
 
 impl Reconstruct {
     pub(super) fn finds(&self, network: &Network) -> bool {
@@ -36,10 +29,11 @@ impl Reconstruct {
         is_unposed.then_some(&self.finding.search.masks)
     }
 
-    pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
+    pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Photographed> {
         let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
         let unposed = self.unposed();
-        let (photos, mut frame_folder) = self.input.list(session, self.views, unposed, named_in)?;
+        let (photos, mut folder) =
+            self.input.reading.list(session, (&self.input.photos, self.views), unposed, named_in)?;
         if self.finds(network) {
             self.check_count(&photos, network)?;
         }
@@ -56,14 +50,13 @@ impl Reconstruct {
         };
         if let (Some(place), Some(KnownCameras { poses, found: Some(found) })) = (&self.cameras_out, &known) {
             Place(place).save(poses, found)?;
-            frame_folder.iter_mut().for_each(FrameFolder::keep);
+            folder.iter_mut().for_each(FrameFolder::keep);
         }
         let views = self.views.filter(|_| unposed.is_none());
         let photos = photos::kept(session, photos, known.as_mut(), views)?;
         self.check_count(&photos, network)?;
         self.finding.masks().map_or(Ok(()), |masks| masks.check(&photos))?;
-        let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
-        Ok(Captured { photos, poses, frame_folder, found: found.flatten() })
+        Ok(Photographed { photos, known, folder })
     }
 
     /// Depth Anything 3 and VGGT have a limit; a refinement of points does without them.

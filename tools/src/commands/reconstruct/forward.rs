@@ -1,12 +1,5 @@
 use super::{Posed, Reconstruct, placed::Placed};
-use crate::{
-    blocks,
-    explain::Explanation,
-    options::Size,
-    session::Session,
-    table::{bytes, counted},
-    views::Views,
-};
+use crate::{blocks, explain::Explanation, options::Size, session::Session, table::counted, views::Views};
 use indicatif::HumanCount;
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -23,13 +16,7 @@ use zipsplat::{
 pub const LOAD_PHOTOS: &str = "load photos";
 pub const LOAD_WEIGHTS: &str = "load weights";
 
-pub struct Planned<'a> {
-    command: &'a Reconstruct,
-    checkpoint: &'a Checkpoint,
-    posed: Posed<'a>,
-    size: Size,
-}
-
+#[derive(Default)]
 pub struct Forward {
     pub arena: Option<Arena>,
     pub tokens: Option<SceneTokens>,
@@ -48,42 +35,40 @@ pub struct Forward {
     pub _model: Option<Model>,
 }
 
-impl Forward {
-    pub fn plan<'a>(
-        command: &'a Reconstruct,
-        session: &mut Session<'_>,
-        checkpoint: &'a Checkpoint,
-        posed: Posed<'a>,
-    ) -> Result<Planned<'a>> {
+impl Reconstruct {
+    /// Returns the size of the network's input.
+    pub fn check_views(&self, session: &mut Session<'_>, checkpoint: &Checkpoint, posed: Posed<'_>) -> Result<Size> {
         let Posed { photos, poses, frames } = posed;
-        let (quality, crop) = (&command.quality, command.crop.crop);
+        let (quality, crop) = (&self.quality, self.crop.crop);
         let size = quality.size_for(checkpoint);
         crop.check(size, poses.is_some())?;
         let shape = |views| quality.shape(checkpoint.architecture(), views, size, poses.is_some());
-        command.blocks.check(crop.count(photos, frames)?, shape)?;
+        self.blocks.check(crop.count(photos, frames)?, shape)?;
         session.notes(quality.doubt_size(checkpoint));
-        if command.weights.is_builtin() && poses.is_none() && command.cameras_out.is_some() {
+        if self.weights.is_builtin() && poses.is_none() && self.cameras_out.is_some() {
             session.note(
                 "without --cameras the model that is built in sees all photos as if from one place: the cameras of --cameras-out fit \
                  its scene, not the photos' place; --cameras colmap finds those",
             );
-        } else if command.weights.is_builtin() && poses.is_none() && photos.len() > 1 {
+        } else if self.weights.is_builtin() && poses.is_none() && photos.len() > 1 {
             session.note(
                 "the model that is built in is a demonstration: several photos without cameras give colors and coarse shapes; \
                  --refine gives sharp scenes, with cameras by COLMAP; `zipsplat weights get zipsplat` gets the paper's weights",
             );
         }
-        Ok(Planned { command, checkpoint, posed, size })
-    }
-
-    pub fn rate_summary(&self) -> String {
-        format!("  ({}/s)", bytes(self.rate))
+        Ok(size)
     }
 }
 
-impl Planned<'_> {
-    pub fn run(self, session: &mut Session<'_>, device: &Device) -> Result<Forward> {
-        let Self { command, checkpoint, posed: Posed { photos, poses, frames }, size } = self;
+impl Forward {
+    pub fn of_tokens(
+        command: &Reconstruct,
+        session: &mut Session<'_>,
+        device: &Device,
+        checkpoint: &Checkpoint,
+        Posed { photos, poses, frames }: Posed<'_>,
+        size: Size,
+    ) -> Result<Self> {
         let (quality, crop) = (&command.quality, command.crop.crop);
         let (precision, arithmetic) = quality.arithmetic.choose(session, device)?;
         let masks = command.finding.masks();
@@ -112,7 +97,7 @@ impl Planned<'_> {
         let mut scene = result.to_scene()?;
         let asked = command.cameras_out.is_some() && poses.is_none();
         let found =
-            asked.then(|| session.stage("find cameras", |_| Ok(Placed::new(result.cameras(&scene, None)?, size))));
+            asked.then(|| session.stage("find cameras", |_| Ok(Placed { found: result.cameras(&scene, None)?, size })));
         let (found, found_in) = found.transpose()?.unzip();
         quality.prune(&mut scene, checkpoint.architecture());
         turned.iter().for_each(|first| scene.place(1.0, first));
@@ -141,7 +126,7 @@ impl Planned<'_> {
         let mut times = vec![(LOAD_PHOTOS.to_owned(), load_photos), (LOAD_WEIGHTS.to_owned(), load_weights)];
         times.extend(result.times.0.iter().cloned());
         times.extend(found_in.map(|took| ("find cameras".to_owned(), took)));
-        Ok(Forward {
+        Ok(Self {
             arena: Some(model.arena().clone()),
             tokens,
             scene,

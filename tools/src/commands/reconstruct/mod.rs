@@ -9,19 +9,17 @@ mod world;
 
 use super::render::Render;
 use crate::{
-    antialiasing::Antialiasing,
     blocks::BlockArgs,
     cameras::{Finding, KnownCameras, Place},
-    options::{Network, Quality, Size, Weights, parse_length, refuse},
+    options::{Antialiasing, Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
-    photos::PhotoArgs,
+    photos::{PhotoArgs, Photographed},
     refinement::{self, Initialization, RefineArgs, has_stable_cameras, placed, save_cameras},
     session::{Session, stage_seconds},
     table::{bytes, counted, time},
     video::FrameFolder,
     views::CropOption,
 };
-use captured::Captured;
 use clap::{Arg, ArgGroup, Args};
 use each::Batch;
 use forward::{Forward, LOAD_WEIGHTS};
@@ -102,12 +100,12 @@ pub struct Reconstruct {
     /// Write the cameras, estimated or optimized, as transforms.json. --cameras colmap, da3 and
     /// vggt also write points and a log to its folder. Without --cameras, estimates them from the
     /// scene, in its world
-    #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
+    #[arg(long, alias = "refined-cameras", help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length of the network's unit in the cameras' unit; the scene keeps the cameras' unit
     /// [default: the median distance of the capture's points (points.ply or points3D) from the
     /// first camera, else of the point that the cameras look at, else the distance between cameras]
-    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "posed", value_parser = parse_length)]
+    #[arg(long, alias = "unit", help_heading = CAMERAS, value_name = "LENGTH", requires = "posed", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// World of the scene
     #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "posed")]
@@ -127,7 +125,7 @@ pub struct Reconstruct {
     /// Print the memory plan and stop. --device none plans for a typical GPU; --views replaces
     /// photos; --explain lists every tensor
     #[arg(long, help_heading = None::<&'static str>, conflicts_with = "each")]
-    dry_run: bool,
+    pub dry_run: bool,
     /// Also print each stage's time and memory, and why stages are skipped
     #[arg(long, help_heading = None::<&'static str>)]
     explain: bool,
@@ -158,10 +156,6 @@ pub struct Posed<'a> {
 }
 
 impl Reconstruct {
-    pub fn plans(&self) -> bool {
-        self.dry_run
-    }
-
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match (self.dry_run, self.each) {
             (true, _) => plan::show(session, self),
@@ -175,11 +169,14 @@ impl Reconstruct {
     }
 
     fn reconstruct(&self, session: &mut Session<'_>) -> Result<()> {
-        self.check()?;
+        self.overwrite.check_scene(self.output())?;
+        self.refine.check()?;
         let drawing = self.drawing()?;
         let network = self.weights.open_network()?;
         self.check_network(session, &network)?;
-        let Captured { photos, poses, mut frame_folder, mut found } = self.captured(session, &network)?;
+        let Photographed { photos, known, folder: mut frame_folder } = self.captured(session, &network)?;
+        let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
+        let mut found = found.flatten();
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let first = frames.first().map(|frame| frame.camera.pose);
         let steps = self.refine.steps();
@@ -195,9 +192,9 @@ impl Reconstruct {
             // Points need no network.
             (Some(From::Scene(Initialization::Points)), _) => (None, session.device()?),
             (_, Network::Tokens(checkpoint)) => {
-                let plan = Forward::plan(self, session, checkpoint, posed)?;
+                let size = self.check_views(session, checkpoint, posed)?;
                 let device = session.device()?;
-                (Some(plan.run(session, &device)?), device)
+                (Some(Forward::of_tokens(self, session, &device, checkpoint, posed, size)?), device)
             }
             (_, Network::Pixels(checkpoint)) => {
                 let predicted = found.as_mut().and_then(|found| found.predicted.take());
@@ -252,7 +249,7 @@ impl Reconstruct {
             session.notes(found.save(path, &photos)?);
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
-        let until_drawing = session.elapsed();
+        let until_drawing = session.began.elapsed();
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
             // The host may have pruned or moved the scene.
@@ -274,8 +271,8 @@ impl Reconstruct {
             times.push(("refine".to_owned(), made.refined.took));
         }
         times.push(("write".to_owned(), write));
-        times.extend(drawn.iter().map(|_| ("pictures".to_owned(), session.elapsed() - until_drawing)));
-        let total = session.elapsed();
+        times.extend(drawn.iter().map(|_| ("pictures".to_owned(), session.began.elapsed() - until_drawing)));
+        let total = session.began.elapsed();
         let other = total.saturating_sub(times.iter().map(|(_, took)| *took).sum());
         times.push(("other".to_owned(), other));
         let stages = stage_seconds(&times);
@@ -306,8 +303,8 @@ impl Reconstruct {
         }
         text += &format!("at most {} of {}\n", bytes(peak_bytes), device.limits().name);
         for (stage, took) in &times {
-            let rate =
-                forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS).map(Forward::rate_summary).unwrap_or_default();
+            let loaded = forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS);
+            let rate = loaded.map_or_else(String::new, |forward| format!("  ({}/s)", bytes(forward.rate)));
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
         }
         if let (true, Some(explanation)) =
@@ -351,15 +348,10 @@ impl Reconstruct {
         if finds { Place(place).check(self.overwrite) } else { Place(place).check_alone(self.overwrite) }
     }
 
-    fn check(&self) -> Result<()> {
-        self.overwrite.check_scene(self.output())?;
-        self.refine.check()
-    }
-
     fn picture_size(&self) -> Result<Option<Size>> {
         let Some(drawing) = self.drawing()? else { return Ok(None) };
         let lacks = || Error::argument("--pictures with --dry-run", "no size", "-- --size WxH");
-        drawing.size().ok_or_else(lacks).map(Some)
+        drawing.path.size.ok_or_else(lacks).map(Some)
     }
 
     fn drawing(&self) -> Result<Option<Render>> {

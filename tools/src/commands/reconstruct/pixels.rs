@@ -4,7 +4,7 @@ use super::{
 };
 use crate::{
     depth::{DEPTH_WEIGHTS, PredictedViews, PredictorOptions},
-    options::refuse,
+    options::refuse_all,
     session::Session,
     table::counted,
     views::Crop,
@@ -15,16 +15,15 @@ use zipsplat::{Result, weights::DepthCheckpoint};
 impl Reconstruct {
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
         let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
-        for (option, given) in [
+        let options = [
             ("--crop tiles", self.crop.crop == Crop::Tiles),
             ("--block-size", self.blocks.block_size.is_some()),
             ("--block-overlap", self.blocks.block_overlap.is_some()),
             ("--scene-scale", self.scene_scale.is_some()),
             ("--explain", self.explain),
             ("--refine-target tokens", tokens),
-        ] {
-            refuse(option, given, DEPTH_WEIGHTS, "weights of ZipSplat")?;
-        }
+        ];
+        refuse_all(options, DEPTH_WEIGHTS, "weights of ZipSplat")?;
         self.quality.check_pixels(checkpoint)
     }
 
@@ -68,14 +67,9 @@ impl Forward {
         ];
         let each = if checkpoint.architecture().gaussians { "by its head" } else { "round" };
         Ok(Self {
-            arena: None,
-            tokens: None,
             scene,
-            on_device: None,
-            found: None,
             length: 1.0,
             times: times.into_iter().map(|(step, took)| (step.to_owned(), took)).collect(),
-            explanation: None,
             peak_bytes: depths.peak_bytes,
             views_summary: format!(" from {} of {}x{}", counted(views, "view"), depths.width, depths.height),
             summary: format!(
@@ -84,7 +78,7 @@ impl Forward {
             ),
             rate,
             json,
-            _model: None,
+            ..Self::default()
         })
     }
 }

@@ -12,15 +12,11 @@ use zipsplat::{
 };
 
 pub struct Placed {
-    found: Vec<Result<CameraEstimate>>,
-    size: Size,
+    pub found: Vec<Result<CameraEstimate>>,
+    pub size: Size,
 }
 
 impl Placed {
-    pub fn new(found: Vec<Result<CameraEstimate>>, size: Size) -> Self {
-        Self { found, size }
-    }
-
     /// Returns a note on photos without a camera.
     pub fn save(&self, path: &Path, photos: &[PathBuf]) -> Result<Option<String>> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -3,7 +3,7 @@ use crate::{
     blocks,
     cameras::KnownCameras,
     depth::{DEPTH_WEIGHTS, square},
-    options::{ArithmeticOption, Network as Weights, Quality, Size, refuse},
+    options::{ArithmeticOption, Network as Weights, Quality, Size, refuse_all},
     photos,
     session::Session,
     table::{Table, bytes, counted},
@@ -29,7 +29,7 @@ const LARGEST: usize = 20;
 pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
     let (photos, _folder) = match command.input.photos[..] {
         [] => (Vec::new(), None),
-        _ => command.input.list(session, command.views, command.unposed(), None)?,
+        _ => command.input.reading.list(session, (&command.input.photos, command.views), command.unposed(), None)?,
     };
     let limit = command.views.filter(|_| photos.is_empty() || command.unposed().is_none());
     let file = command.cameras.as_ref().filter(|_| !photos.is_empty() && command.unposed().is_none());
@@ -108,7 +108,7 @@ fn show_tokens(
     let tokens = all.min(blocks.count * shape.tokens);
     let json = json!({
         "device": limits.name, "views": views, "tokens": tokens, "commands": commands, "flops": flops,
-        "blocks": blocks::plan_as_json(&blocks),
+        "blocks": { "count": blocks.count, "size": blocks.size, "overlap": blocks.overlap },
         "precision": precision.name(), "peak_bytes": peak, "weight_bytes": weights,
         "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own),
         "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
@@ -152,15 +152,14 @@ fn show_depth(
     checkpoint: &DepthCheckpoint,
     (views, posed): (usize, bool),
 ) -> Result<()> {
-    for (option, given) in [
+    let options = [
         ("--pictures", command.pictures.is_some()),
         ("--refine", command.refine.steps().is_some()),
         ("--kv-pool", command.quality.kv_pool != KvPool::ALL),
-    ] {
-        refuse(option, given, DEPTH_WEIGHTS, "weights of ZipSplat")?;
-    }
+    ];
+    refuse_all(options, DEPTH_WEIGHTS, "weights of ZipSplat")?;
     let Quality { ratio, token_selection, arithmetic, .. } = &command.quality;
-    let size = command.quality.asked_size().unwrap_or(square(checkpoint));
+    let size = command.quality.input_size.unwrap_or(square(checkpoint));
     let (limits, precision, arithmetic) = target(session, arithmetic)?;
     let network = DepthNetwork::new(checkpoint.architecture(), &limits, arithmetic);
     let shape = network.shape(views, [size.0, size.1], (*ratio, token_selection), posed, None)?;

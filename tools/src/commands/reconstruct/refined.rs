@@ -1,6 +1,5 @@
 use super::{Posed, Reconstruct, forward::Forward};
 use crate::{
-    known_depth::WithDepth,
     photos::PhotoFiles,
     refinement::{self, Initialization, Refinable, RefineTask},
     session::Session,
@@ -29,7 +28,7 @@ pub struct RefineInputs<'a> {
 
 pub struct RefinedScene {
     pub refined: RefineResult,
-    pub started: String,
+    pub started: &'static str,
     pub cameras: Vec<Camera>,
     pub request: RefineOptions,
 }
@@ -61,26 +60,25 @@ impl Reconstruct {
         let checkpoint = || refinement::checkpoint(self.output(), photos, masks.as_ref(), known.as_ref());
         let checkpoint = inputs.is_repeatable.then(checkpoint).transpose()?;
         let paths = photos;
-        let photos = WithDepth(PhotoFiles::new(photos, frames, masks)?, known.as_ref());
+        let photos = (PhotoFiles::new(photos, frames, masks)?, known.as_ref());
         let depth = known.as_ref().map(|known| known.kind);
         let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiased, depth, paths) };
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
-        let (refined, started) = match (init, tokens.zip(inputs.checkpoint)) {
+        let (head, scene);
+        let (from, started) = match (init, tokens.zip(inputs.checkpoint)) {
             (From::Tokens, Some((tokens, checkpoint))) => {
-                let head = FrozenHead::load(inputs.device, checkpoint)?;
-                let from = Refinable::Tokens(&head, tokens);
-                (refinement::refine(session, &arena, from, photos, &cameras, &request)?, refinement::TOKENS.to_owned())
+                head = FrozenHead::load(inputs.device, checkpoint)?;
+                (Refinable::Tokens(&head, tokens), refinement::TOKENS)
             }
             (From::Tokens, None) => unreachable!("they were asked for"),
             (From::Scene(init), _) => {
-                let scene = inputs.forward.map(|forward| forward.scene.clone());
-                let scene = init.scene(scene, cloud, &cameras)?;
-                let from = Refinable::Scene(&scene);
-                (refinement::refine(session, &arena, from, photos, &cameras, &request)?, init.name().to_owned())
+                scene = init.scene(inputs.forward.map(|forward| forward.scene.clone()), cloud, &cameras)?;
+                (Refinable::Scene(&scene), init.name())
             }
         };
+        let refined = refinement::refine(session, &arena, from, photos, &cameras, &request)?;
         Ok(RefinedScene { refined, started, cameras, request })
     }
 }

@@ -43,7 +43,7 @@ pub fn all<'a>(
         for (&pool, (capture, cloud)) in
             args.kv_pool.iter().flat_map(|pool| captures.iter().zip(clouds).map(move |capture| (pool, capture)))
         {
-            let cameras = Some(capture.cameras());
+            let cameras = Some(capture.views.cameras.clone());
             let request = ReconstructOptions {
                 ratio,
                 token_selection: selection.clone(),

@@ -3,7 +3,6 @@ mod drawn;
 mod figures;
 mod page;
 mod point;
-mod refined;
 mod rounded;
 mod sweep;
 mod truth;
@@ -25,7 +24,6 @@ use zipsplat::{
     gpu::Device,
     ops::{Arithmetic, Precision},
     reconstruct::{KvPool, Ratio, TokenSelection},
-    tune::KernelChoice,
     types::{PointCloud, write_atomic},
     weights::{Checkpoint, Dtype},
 };
@@ -61,21 +59,21 @@ pub struct Tradeoff {
         value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
     /// Token selections: kmeans[:ROUNDS], mutual, stride, random[:SEED], files of indices
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
+    #[arg(long, alias = "select", value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
     token_selection: Vec<TokenSelection>,
     /// Keys and values of attention across views
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
+    #[arg(long, alias = "pool", value_name = "LIST", value_delimiter = ',', default_value = "1")]
     kv_pool: Vec<KvPool>,
     /// Gaussians kept per token, by visibility [default: all, a half, a quarter]
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, alias = "keep", value_name = "LIST", value_delimiter = ',')]
     max_gaussians_per_token: Option<Vec<Keep>>,
     /// Refinement steps, or 100:tokens for the scene's tokens; 0 is always included. Combined with
     /// every number of photos and ratio, with all Gaussians, otherwise first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<RefineTask>,
     /// Initializations of the refinement [default: scene, and points if the capture has them]
-    #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
+    #[arg(long, alias = "start", value_name = "LIST", value_delimiter = ',', value_enum)]
     init: Option<Vec<Initialization>>,
     /// Arithmetics: fp32, fp16, bf16, int8 [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
@@ -93,7 +91,7 @@ pub struct Tradeoff {
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
     /// Length of the network's unit in the cameras' unit [default: as of `reconstruct`]
-    #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
+    #[arg(long, alias = "unit", value_name = "LENGTH", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// Untimed runs before the measurement
     #[arg(long, value_name = "N", default_value = "1")]
@@ -205,11 +203,6 @@ impl Tradeoff {
         let mut precisions: Vec<Precision> = asked.unwrap_or_else(|| Precision::ALL.into_iter().filter(has).collect());
         precisions.sort_by_key(|precision| *precision != Precision::Fp32);
         precisions.dedup();
-        let choose = |precision| {
-            let KernelChoice { precision, arithmetic, warnings: notes } = session.choose(device, Some(precision))?;
-            notes.iter().for_each(|note| session.note(note));
-            Ok((precision, arithmetic))
-        };
-        precisions.into_iter().map(choose).collect()
+        precisions.into_iter().map(|precision| session.choose(device, Some(precision))).collect()
     }
 }

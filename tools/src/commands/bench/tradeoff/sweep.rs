@@ -3,7 +3,6 @@ use super::{
     case::{self, Case},
     drawn::{compare, psnr_to_f64},
     point::Point,
-    refined::refine,
     rounded::{OWN, Rounded},
     truth::{Compared, Errors, MOST_FLOPS, Truth, observe},
 };
@@ -23,6 +22,7 @@ use zipsplat::{
     gpu::{Device, StageTimes},
     ops::{Arithmetic, Precision},
     reconstruct::{Model, Reconstruction, Shape, TokenSampling},
+    refine::{FrozenHead, RefineOptions, RefineResult, StopReason, refine_scene, refine_tokens},
     stages::render::Renderer,
     types::{Image, PointCloud, Scene},
     weights::{Architecture, Checkpoint},
@@ -196,7 +196,7 @@ impl Bench<'_> {
     }
 
     fn forward(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<Forward> {
-        let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
+        let (images, capture, shape) = (&case.capture.views.images, case.capture, case.shape);
         let flops = model.plan(shape)?.plan.flops();
         let (mut times, mut last) = (Vec::new(), None);
         for i in 0..self.args.warmup + self.args.repeats {
@@ -256,7 +256,7 @@ impl Bench<'_> {
         stage: &Stage<'_>,
     ) -> Result<(Point, Image)> {
         let scene = init.scene(Some(forward.scene.clone()), case.cloud, &case.capture.training_views().1)?;
-        let refined = refine(model, self.checkpoint, case.capture, &case.request, &scene, steps, stage)?;
+        let refined = self.refine(model, case, &scene, steps, stage)?;
         self.renderer.set_scene(&refined.scene)?;
         let drawn = compare(&mut self.renderer, case.capture)?;
         let refine_ms = 1e3 * refined.took.as_secs_f64();
@@ -277,6 +277,32 @@ impl Bench<'_> {
             ..drawn.point(settings, &refined.scene)?
         };
         Ok((point, drawn.picture(case.capture)?))
+    }
+
+    fn refine(
+        &self,
+        model: &Model,
+        case: &Case<'_>,
+        scene: &Scene,
+        steps: RefineTask,
+        stage: &Stage<'_>,
+    ) -> Result<RefineResult> {
+        let (photos, cameras) = case.capture.training_views();
+        let (arena, request) = (model.arena(), &case.request);
+        let options = RefineOptions { length: steps.length, ..RefineOptions::default() };
+        let refined = if steps.tokens {
+            let features = model.features(&case.capture.views.images, request, |_| stage.go_on())?;
+            let tokens = model.tokens(&features, request, |_| stage.go_on())?;
+            drop(features);
+            let head = FrozenHead::load(arena.device(), self.checkpoint)?;
+            refine_tokens(arena, &head, &tokens, &photos, &cameras, &options, |_| stage.go_on())?
+        } else {
+            refine_scene(arena, scene, &photos, &cameras, &options, |_| stage.go_on())?
+        };
+        match refined.stop_reason {
+            Some(StopReason::Cancelled) => Err(Error::Cancelled),
+            _ => Ok(refined),
+        }
     }
 
     fn settings(&self, model: &Model, case: &Case<'_>, forward: &Forward) -> Point {

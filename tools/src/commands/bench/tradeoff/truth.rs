@@ -67,7 +67,7 @@ impl<'a> Truth<'a> {
         settings: &str,
         chosen: Vec<u32>,
     ) -> Result<Compared> {
-        let images = capture.images();
+        let images = &capture.views.images;
         let reference = match &mut self.reference {
             Some(known) => known,
             unknown => unknown.insert(network::model(self.checkpoint)?),

@@ -88,7 +88,7 @@ impl<'a> Maker<'a> {
         let options = batch.command.predictor_options(checkpoint);
         let size = format!("{:?}", options.side);
         let predictor = options.open(session, &device)?;
-        let settings_key = batch.settings_key(checkpoint.provenance(), &size, predictor.precision().name())?;
+        let settings_key = batch.settings_key(checkpoint.provenance(), &size, predictor.precision.name())?;
         Ok((Self::Pixels(Box::new(predictor)), settings_key))
     }
 

@@ -5,6 +5,7 @@ use crate::{
     options::{Network, Quality},
     outputs::{self, FAILURES, Failure},
     panorama, photos,
+    process::lock,
     session::{Session, Stage},
     stamp::{digest, hash_of_weights, stamp},
     table::{counted, time},
@@ -107,10 +108,7 @@ impl<'a> Batch<'a> {
         }
         let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
         let text = outputs::and_others(text, &others);
-        if !failures.is_empty() {
-            session.note(format!("{}: {}", output.join(FAILURES).display(), counted(failures.len(), "capture")));
-            session.end_with(1);
-        }
+        outputs::note_failures(session, output, &failures, "capture");
         session.report(&json, text)
     }
 
@@ -347,8 +345,4 @@ fn photos_of(folder: &Path) -> Result<Vec<PathBuf>> {
     let photos = photos::directly_in(folder)?;
     let below = folder.join("images");
     if photos.is_empty() && below.is_dir() { photos::directly_in(&below) } else { Ok(photos) }
-}
-
-fn lock(tally: &Mutex<Tally>) -> std::sync::MutexGuard<'_, Tally> {
-    tally.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
