@@ -189,7 +189,7 @@ impl<'a> Evaluator<'a> {
         let mut request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
         let blocks = eval.blocks.choose(model, images.len(), self.seeing.size, &mut request, |_, _| Ok(1.0))?;
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
-        let ((result, tokens), took) = session.reconstruct(model, (&images, &blocks), &request, of_tokens)?;
+        let ((result, tokens), took) = session.reconstruct(model, (images, &blocks), &request, of_tokens)?;
         let mut scene = result.to_scene()?;
         quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));

@@ -200,14 +200,14 @@ impl Bench<'_> {
         let flops = model.plan(shape)?.plan.flops();
         let (mut times, mut last) = (Vec::new(), None);
         for i in 0..self.args.warmup + self.args.repeats {
-            let made = last.insert(model.reconstruct_views(&images, &case.request, |_| stage.go_on())?);
+            let made = last.insert(model.reconstruct_views(images, &case.request, |_| stage.go_on())?);
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
         if shape.kept == TokenSampling::All && case.request.kv_pool == self.args.kv_pool[0] && case.is_exact() {
             self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
-        let (chosen, views_per_cluster) = chosen(model, case, &images)?;
+        let (chosen, views_per_cluster) = chosen(model, case, images)?;
         stage.check()?;
         let compared = if flops <= MOST_FLOPS {
             Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?)

@@ -76,7 +76,7 @@ impl<'a> Truth<'a> {
         let tokens = self.tokens.entry((images.len(), pool)).or_insert_with(|| {
             let priors =
                 request.cameras.as_deref().map(|cameras| cameras.iter().map(network::prior).collect::<Vec<_>>());
-            forward::tokens(reference, &network::images(&images), priors.as_deref(), &network::keys(pool))
+            forward::tokens(reference, &network::images(images), priors.as_deref(), &network::keys(pool))
         });
         let known = self.known.entry((images.len(), settings.to_owned())).or_insert_with(|| {
             let taps = forward::gaussians(reference, tokens, &chosen);
@@ -89,7 +89,7 @@ impl<'a> Truth<'a> {
             request.token_selection.clone()
         };
         let (run, tensors) =
-            observe(model, &images, &ReconstructOptions { token_selection: selection, ..request.clone() })?;
+            observe(model, images, &ReconstructOptions { token_selection: selection, ..request.clone() })?;
         let read = |(name, tensor): &(String, Tensor)| Ok((name.clone(), run.read(*tensor)?));
         let taps: HashMap<String, Vec<f32>> = run.observed().iter().map(read).collect::<Result<_>>()?;
         let scene = tensors.read(&run)?;
