@@ -77,7 +77,7 @@ fn a_file_name_is_no_part_of_the_page() {
     std::fs::rename(folder.path("scene.ply"), folder.path("<script>&.ply")).expect("a file can be renamed");
     folder.run("view @/<script>&.ply -o @/page.html").success();
     let page = folder.text("page.html");
-    assert!(page.contains("<title>&lt;script>&amp;.ply</title>"));
+    assert!(page.contains("<title>&lt;script&gt;&amp;.ply</title>"));
     assert!(page.contains(r#""name":"\u003cscript>&.ply""#));
     assert!(!page.contains("<script>&.ply"));
 }
