@@ -148,6 +148,7 @@ impl<'a> PredictorOptions<'a> {
         let (tokens, _) = session.stage("features", tokens)?;
         Ok((prepared.known_cameras.unwrap_or_default(), tokens))
     }
+
     /// Multi-view networks take the cameras of `known` frames, in their unit.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&CaptureView]) -> Result<PredictedViews> {
         let (prepared, reading) = session.stage("load photos", |stage| self.read(photos, known, stage))?;
@@ -164,7 +165,7 @@ impl<'a> PredictorOptions<'a> {
     }
 
     fn input(&self) -> InputSize {
-        (self.side, self.checkpoint.architecture().fitting())
+        InputSize { side: self.side, fitting: self.checkpoint.architecture().fitting() }
     }
 
     pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<DepthPredictor> {
@@ -178,11 +179,15 @@ impl<'a> PredictorOptions<'a> {
     }
 }
 
-/// Longer side of the network's input, if not its own.
-type InputSize = (Option<u32>, Fitting);
+#[derive(Clone, Copy)]
+struct InputSize {
+    /// Longer side, if not the network's own.
+    side: Option<u32>,
+    fitting: Fitting,
+}
 
 fn read(
-    (side, fitting): InputSize,
+    InputSize { side, fitting }: InputSize,
     photos: &[PathBuf],
     known: &[&CaptureView],
     masks: Option<&Masks>,

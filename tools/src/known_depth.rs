@@ -114,25 +114,30 @@ impl KnownDepth {
     }
 }
 
-/// Photos with any known depth. After a cancellation of the stage they are not opened.
-pub struct WithDepth<'a, P>(pub P, pub Option<&'a KnownDepth>, pub Option<&'a Stage<'a>>);
+/// Photos with any known depth.
+pub struct WithDepth<'a, P> {
+    pub photos: P,
+    pub depth: Option<&'a KnownDepth>,
+    /// Stage whose cancellation ends the opening of photos.
+    pub stage: Option<&'a Stage<'a>>,
+}
 
 impl<P: Photos> Photos for WithDepth<'_, P> {
     fn count(&self) -> usize {
-        self.0.count()
+        self.photos.count()
     }
 
     fn size(&self, i: usize) -> [u32; 2] {
-        self.0.size(i)
+        self.photos.size(i)
     }
 
     fn open(&self, i: usize) -> Result<Cow<'_, Image>> {
-        self.2.map_or(Ok(()), Stage::check)?;
-        self.0.open(i)
+        self.stage.map_or(Ok(()), Stage::check)?;
+        self.photos.open(i)
     }
 
     fn depth(&self, i: usize) -> Result<Option<Cow<'_, [f32]>>> {
-        let depth = self.1.map(|known| known.read(i)).transpose()?.flatten();
+        let depth = self.depth.map(|known| known.read(i)).transpose()?.flatten();
         Ok(depth.map(Cow::Owned))
     }
 }

@@ -171,13 +171,13 @@ pub struct SceneInput {
     #[arg(long)]
     drop_invalid: bool,
     #[command(flatten)]
-    pub antialiased: Antialiasing,
+    pub antialiasing: Antialiasing,
 }
 
 impl SceneInput {
     pub fn refuse(&self, found: &str, expected: &str) -> Result<()> {
         self.refuse_dropping(found, expected)?;
-        self.antialiased.refuse(found, expected)
+        self.antialiasing.refuse(found, expected)
     }
 
     pub fn refuse_dropping(&self, found: &str, expected: &str) -> Result<()> {
@@ -186,7 +186,7 @@ impl SceneInput {
 
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| Scene::open_unchecked(path))?;
-        scene.antialiased = self.antialiased.antialiased.unwrap_or(scene.antialiased);
+        scene.antialiased = self.antialiasing.antialiased.unwrap_or(scene.antialiased);
         if !self.drop_invalid {
             let refused =
                 |error| Error::format(path, None, format!("{error}; --drop-invalid leaves such Gaussians out"));

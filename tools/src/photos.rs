@@ -37,7 +37,19 @@ pub struct PhotoArgs {
     #[arg(required = true)]
     pub photos: Vec<PathBuf>,
     #[command(flatten)]
-    pub reading: Reading,
+    reading: Reading,
+}
+
+impl PhotoArgs {
+    pub fn list(
+        &self,
+        session: &mut Session<'_>,
+        frames: Option<u32>,
+        unposed: Option<&MaskArgs>,
+        named_in: Option<(&Path, Overwrite)>,
+    ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
+        self.reading.list(session, (&self.photos, frames), unposed, named_in)
+    }
 }
 
 #[derive(Args)]

@@ -133,6 +133,11 @@ impl SceneTensors {
         [3, 3, 4, 1, 3 * coeffs_of(sh_degree)]
     }
 
+    /// Values per Gaussian.
+    pub fn width(sh_degree: u32) -> usize {
+        Self::widths(sh_degree).iter().sum()
+    }
+
     pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
         let widths = Self::widths(sh_degree);
         let tensors = std::array::from_fn(|i| rec.tensor::<f32>(Self::NAMES[i], widths[i] * len));

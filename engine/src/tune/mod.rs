@@ -29,7 +29,7 @@ struct Operation {
     /// Kernels on matrix units or lanes, with their output types.
     kernels: fn(bool, Element) -> Vec<(String, Element)>,
     deviation: fn(&Device, Candidate, Element) -> Result<Option<f64>>,
-    /// A run of so many rows.
+    /// Takes the number of rows.
     timed: fn(&Device, Candidate, usize) -> Result<Run>,
     chosen: fn(&mut Arithmetic) -> Vec<&mut Option<Units>>,
     chosen_on_lanes: fn(&mut Arithmetic) -> Vec<(Element, &mut Tiles)>,

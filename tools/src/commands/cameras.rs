@@ -66,8 +66,7 @@ impl Cameras {
         let of_network = self.cameras != CamerasFrom::default();
         refuse("--camera-source or --per-view-focal", is_colmap && of_network, "COLMAP", why)?;
         let named_in = Some((&*self.output, self.overwrite));
-        let (photos, mut frames) =
-            self.input.reading.list(session, (&self.input.photos, self.views), Some(&self.search.masks), named_in)?;
+        let (photos, mut frames) = self.input.list(session, self.views, Some(&self.search.masks), named_in)?;
         self.model.check_names(&photos)?;
         let (search, depth_weights) = (self.search.clone(), self.weights.clone());
         let finding = Finding { search, cameras: self.cameras, depth_weights };

@@ -186,7 +186,7 @@ impl Refine {
             views_per_step: self.views_per_step,
             profile: self.explain,
             checkpoint,
-            ..self.settings.request(self.steps, self.input.antialiased, photos.1.map(|known| known.kind), paths)
+            ..self.settings.request(self.steps, self.input.antialiasing, photos.1.map(|known| known.kind), paths)
         };
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
         Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))

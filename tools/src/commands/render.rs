@@ -214,7 +214,7 @@ impl Render {
             normals: self.normals,
             token_group: self.gaussians_per_token,
             background: self.background,
-            antialiased: self.input.antialiased.antialiased,
+            antialiased: self.input.antialiasing.antialiased,
             near: None,
         }
     }

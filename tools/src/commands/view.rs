@@ -164,7 +164,7 @@ impl View {
         refuse_all(options, "photos", "a scene's file")?;
         self.input.refuse_dropping("photos", "a scene's file")?;
         if !self.from.refines() {
-            self.input.antialiased.refuse("photos without --refine", "a scene's file, or with --refine")?;
+            self.input.antialiasing.refuse("photos without --refine", "a scene's file, or with --refine")?;
         }
         let photos = (&self.files[..], self.cameras.as_deref());
         let checkpoint = match self.from.weights.open_network()? {
@@ -174,7 +174,7 @@ impl View {
         let every = self.output.is_none() && !self.from.ratios.is_empty();
         refuse("--ratios", every, "a page that is served, whose slider has every ratio", "a page that is written")?;
         let mut ready = self.from.prepare(session, checkpoint, photos)?;
-        let watched = self.from.watched(session, &ready, self.input.antialiased)?;
+        let watched = self.from.watched(session, &ready, self.input.antialiasing)?;
         let (grid, cameras) = (ready.live.grid(), std::mem::take(&mut ready.cameras));
         let mut config = Config {
             up: vertical(&cameras),

@@ -59,7 +59,8 @@ pub(super) struct Hit {
     pub light: Vec3A,
     /// Distance to the surface; `None` in the sky.
     pub distance: Option<f32>,
-    /// Number of the primitive in the high 28 bits, then face and shadow: differing neighbors are an edge for antialiasing.
+    /// Primitive in the high 28 bits, then face and shadow. Neighbors that differ are an edge for
+    /// antialiasing.
     pub region: u32,
 }
 

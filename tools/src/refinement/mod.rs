@@ -96,7 +96,7 @@ pub fn refine(
             stage.name(&progress_message(&at));
             stage.at(at.step as f64 / at.steps as f64)
         };
-        let photos = WithDepth(photos, depth, Some(stage));
+        let photos = WithDepth { photos, depth, stage: Some(stage) };
         refined = Some(match from {
             Refinable::Scene(scene) => refine_scene(arena, scene, photos, cameras, request, progress)?,
             Refinable::Tokens(head, tokens) => refine_tokens(arena, head, tokens, photos, cameras, request, progress)?,

@@ -203,15 +203,15 @@ impl RefineSettings {
     }
 
     /// Settings of a plan: the kind of depth does not matter.
-    pub fn planned(&self, task: RefineTask, antialiased: Antialiasing) -> RefineOptions {
-        self.request(task, antialiased, self.depth_loss.as_ref().map(|_| DepthKind::Metric), &[])
+    pub fn planned(&self, task: RefineTask, antialiasing: Antialiasing) -> RefineOptions {
+        self.request(task, antialiasing, self.depth_loss.as_ref().map(|_| DepthKind::Metric), &[])
     }
 
     /// EXIF exposures of `photos` can enable learned exposures.
     pub fn request(
         &self,
         RefineTask { length, .. }: RefineTask,
-        antialiased: Antialiasing,
+        antialiasing: Antialiasing,
         depth: Option<DepthKind>,
         photos: &[PathBuf],
     ) -> RefineOptions {
@@ -223,7 +223,7 @@ impl RefineSettings {
             holdout_views: self.holdout_views,
             optimize_cameras: self.optimize_cameras,
             exposure: self.exposure.of_photos(photos),
-            antialiased: antialiased.antialiased,
+            antialiased: antialiasing.antialiased,
             max_gaussians: self.max_gaussians,
             perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),
             depth_loss: depth_loss

@@ -206,7 +206,7 @@ impl FromPhotos {
         &self,
         session: &mut Session<'_>,
         ready: &Ready<'_>,
-        antialiased: Antialiasing,
+        antialiasing: Antialiasing,
     ) -> Result<Option<Watched>> {
         let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
@@ -233,7 +233,7 @@ impl FromPhotos {
         };
         let settings = &self.refine.settings;
         let known = settings.known_depth(session, (&ready.photos, &frames), &cameras, 1.0)?;
-        let request = settings.request(steps, antialiased, known.as_ref().map(|known| known.kind), &ready.photos);
+        let request = settings.request(steps, antialiasing, known.as_ref().map(|known| known.kind), &ready.photos);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched {

@@ -69,7 +69,7 @@ impl Watched {
         let arena = Arena::new(&live.device);
         let frames: Vec<&CaptureView> = ready.frames.iter().collect();
         let refined = PhotoFiles::new(&ready.photos, &frames, self.masks.clone()).and_then(|photos| {
-            let photos = WithDepth(photos, self.known.as_ref(), None);
+            let photos = WithDepth { photos, depth: self.known.as_ref(), stage: None };
             match &self.target {
                 Target::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, report),
                 Target::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)

@@ -106,7 +106,7 @@ impl Device {
         // SAFETY: the caller vouches for the device.
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), vk::Device::from_raw(device)) };
         let queue = Queue::new(vk::Queue::from_raw(queue), adopted.queue_lock);
-        let mut shared = Shared::new(instance, physical, raw, (queue, family), limits, support.subgroup_control)?;
+        let mut shared = Shared::new(instance, physical, raw, queue, family, limits, support.subgroup_control)?;
         shared.cache_dir = adopted.cache_dir;
         Ok(Self(Arc::new(shared)))
     }

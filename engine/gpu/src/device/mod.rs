@@ -227,7 +227,7 @@ impl Shared {
             .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
         // SAFETY: the queue was requested above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
-        let mut shared = Self::new(instance, physical, raw, (queue, family), limits, support.subgroup_control)?;
+        let mut shared = Self::new(instance, physical, raw, queue, family, limits, support.subgroup_control)?;
         (shared.owned, shared.force_staging) = (true, options.force_staging);
         shared.cache_dir.clone_from(&options.cache_dir);
         Ok(shared)
@@ -238,7 +238,8 @@ impl Shared {
         instance: Instance,
         physical: vk::PhysicalDevice,
         raw: ash::Device,
-        (queue, family): (Queue, u32),
+        queue: Queue,
+        family: u32,
         limits: Limits,
         subgroup_control: bool,
     ) -> Result<Self> {

@@ -5,7 +5,7 @@ use crate::{
     gpu::{Element, Recorder, ResidentLayout, Tensor},
     kernels::{gaussians as kernels, ops::Gelu},
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
-    stages::{Architecture, SceneTensors},
+    stages::{Architecture, SceneTensors, coeffs_of},
 };
 
 pub struct Head {
@@ -91,14 +91,13 @@ impl Head {
     }
 
     fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneTensors, stride: usize) -> Rows {
-        let (group, widths) = (self.gaussians_per_token, SceneTensors::widths(d.sh_degree));
-        let width = widths.iter().sum::<usize>();
+        let (group, width) = (self.gaussians_per_token, SceneTensors::width(d.sh_degree));
         let d_raw = Rows::scratch(rec, "d_raw", kept.raw.count, stride, Element::F32);
         if stride > group * width {
             rec.fill(d_raw.tensor, 0); // padding is multiplied by zeros and must be finite
         }
-        let bytes: Vec<usize> = widths.into_iter().chain([width]).map(|width| 4 * group * width).collect();
-        for part in row_chunks(rec, d_raw.count, &[&bytes[..], &[d_raw.row_bytes()]].concat()) {
+        let widths = SceneTensors::widths(d.sh_degree).map(|width| 4 * group * width);
+        for part in row_chunks(rec, d_raw.count, &[&widths[..], &[4 * group * width, d_raw.row_bytes()]].concat()) {
             let d = d.part(part.start * group..part.end * group);
             let kernel = kernels::ActivateBackward {
                 raw: kept.raw.part(part.clone()).tensor,
@@ -110,7 +109,7 @@ impl Head {
                 d_sh_coeffs: d.sh_coeffs,
                 d_raw: d_raw.part(part).tensor,
                 count: d.len as u32,
-                bases: widths[4] as u32 / 3,
+                bases: coeffs_of(d.sh_degree) as u32,
                 group: group as u32,
                 stride: stride as u32,
             };

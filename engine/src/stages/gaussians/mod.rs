@@ -4,7 +4,7 @@
 
 mod head;
 
-use super::{Architecture, SceneTensors, ViewGrid, embed_patches};
+use super::{Architecture, SceneTensors, ViewGrid, coeffs_of, embed_patches};
 use crate::{
     gpu::{Element, Recorder, Tensor},
     kernels::gaussians as kernels,
@@ -67,13 +67,12 @@ impl Gaussians {
 
 /// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]`; `scene_scale` (`[1]` f32) scales lengths.
 pub fn activate(rec: &mut Recorder, raw: Tensor, scene_scale: Tensor, into: &SceneTensors) {
-    let widths = SceneTensors::widths(into.sh_degree);
-    let width = widths.iter().sum::<usize>();
-    let bytes: Vec<usize> = widths.into_iter().chain([width]).map(|width| 4 * width).collect();
-    for part in row_chunks(rec, into.len, &bytes) {
+    let width = SceneTensors::width(into.sh_degree);
+    let widths = SceneTensors::widths(into.sh_degree).map(|width| 4 * width);
+    for part in row_chunks(rec, into.len, &[&widths[..], &[4 * width]].concat()) {
         let raw = raw.slice::<f32>(part.start * width, part.len() * width);
         let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = into.part(part);
-        let (count, bases) = (len as u32, widths[4] as u32 / 3);
+        let (count, bases) = (len as u32, coeffs_of(into.sh_degree) as u32);
         let unit = scene_scale;
         rec.dispatch(kernels::Activate { raw, unit, means, scales, quats, opacities, sh_coeffs, count, bases }, len);
     }

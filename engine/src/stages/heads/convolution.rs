@@ -64,6 +64,10 @@ impl Convolution {
         Self { layer: p.planar_convolution(name, channels, side, true), side, step: 1 }
     }
 
+    pub(super) fn strided(self) -> Self {
+        Self { step: 2, ..self }
+    }
+
     pub(super) fn record(
         &self,
         rec: &mut Recorder,

@@ -36,10 +36,7 @@ impl Levels {
                 let layer = p.spread_convolution(&name, [channels; 2], SIDES[j]);
                 (layer, p.vector(&format!("{name}.bias"), &[channels]))
             }),
-            reduce: {
-                let layer = p.planar_convolution(&format!("{root}.resize_layers.3"), [last; 2], 3, true);
-                Convolution::of(layer, [3, 2])
-            },
+            reduce: Convolution::new(p, &format!("{root}.resize_layers.3"), [last; 2], 3).strided(),
             layers: [0, 1, 2, 3].map(|j| {
                 let (name, channels) = (format!("{root}.scratch.layer{}_rn", j + 1), [a.channels[j], a.features]);
                 Convolution::of(p.planar_convolution(&name, channels, 3, false), [3, 1])

@@ -117,9 +117,9 @@ impl Forward {
             // PyTorch has no pooling.
             let is_like = |row: &&Row| row.part.stage.is_empty() && row.pool == "1";
             let totals: Vec<Row> = rows.iter().filter(is_like).cloned().collect();
-            let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
-            text += &compared.0;
-            rows.extend(compared.1);
+            let ((table, more), _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
+            text += &table;
+            rows.extend(more);
             Ok(())
         });
         // PyTorch may fail.

@@ -105,8 +105,7 @@ impl Depth {
         let place = self.output.join(CAMERAS);
         let (no_masks, named_in) = (MaskArgs::default(), Some((&*place, self.overwrite)));
         let unposed = self.cameras.is_none().then_some(&no_masks);
-        let (files, mut folder) =
-            self.input.reading.list(session, (&self.input.photos, self.views), unposed, named_in)?;
+        let (files, mut folder) = self.input.list(session, self.views, unposed, named_in)?;
         let files = photos::spread(files, self.views.filter(|_| unposed.is_none()));
         let known = self.known(&files)?;
         self.check(&files)?;

@@ -254,7 +254,7 @@ fn refine(
     let (settings, files, frames) = (&eval.refine.settings, choice.inputs(), choice.input_frames());
     let known = settings.known_depth(session, (&files, &frames), &cameras, capture.scene_scale.length)?;
     let kind = known.as_ref().map(|known| known.kind);
-    let mut request = settings.request(steps, eval.external.input.antialiased, kind, &files);
+    let mut request = settings.request(steps, eval.external.input.antialiasing, kind, &files);
     if eval.series.protocol.is_some() && steps.tokens {
         // As in the paper's tables.
         request.holdout_views = request.holdout_views.or(Some(0));

@@ -80,7 +80,7 @@ impl ExternalScene {
 
     pub fn key(&self) -> String {
         let Self { scene, from_depth, scene_frame, scene_cameras, scene_unit, opacities, input } = self;
-        let antialiased = input.antialiased.antialiased;
+        let antialiased = input.antialiasing.antialiased;
         format!(
             "{scene:?} {from_depth:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?} {antialiased:?}"
         )

@@ -226,7 +226,7 @@ impl Eval {
             let input = &self.external.input;
             input.refuse_dropping("without --scene", "with --scene")?;
             if self.refine.steps().is_none() {
-                input.antialiased.refuse("without --scene or --refine", "with one of them")?;
+                input.antialiasing.refuse("without --scene or --refine", "with one of them")?;
             }
         }
         let usual = if self.series.protocol.is_some() { Filter::Bilinear } else { Filter::Lanczos };

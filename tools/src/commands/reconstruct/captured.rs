@@ -32,8 +32,7 @@ impl Reconstruct {
     pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Photographed> {
         let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
         let unposed = self.unposed();
-        let (photos, mut folder) =
-            self.input.reading.list(session, (&self.input.photos, self.views), unposed, named_in)?;
+        let (photos, mut folder) = self.input.list(session, self.views, unposed, named_in)?;
         if self.finds(network) {
             self.check_count(&photos, network)?;
         }

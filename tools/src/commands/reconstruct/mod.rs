@@ -132,7 +132,7 @@ pub struct Reconstruct {
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineArgs,
     #[command(flatten, next_help_heading = REFINEMENT)]
-    antialiased: Antialiasing,
+    antialiasing: Antialiasing,
     /// Also render the scene into this folder
     #[arg(long, help_heading = None::<&'static str>, value_name = "FOLDER")]
     pictures: Option<PathBuf>,

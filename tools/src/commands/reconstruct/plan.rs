@@ -29,7 +29,7 @@ const LARGEST: usize = 20;
 pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
     let (photos, _folder) = match command.input.photos[..] {
         [] => (Vec::new(), None),
-        _ => command.input.reading.list(session, (&command.input.photos, command.views), command.unposed(), None)?,
+        _ => command.input.list(session, command.views, command.unposed(), None)?,
     };
     let limit = command.views.filter(|_| photos.is_empty() || command.unposed().is_none());
     let file = command.cameras.as_ref().filter(|_| !photos.is_empty() && command.unposed().is_none());
@@ -86,7 +86,7 @@ fn show_tokens(
             views,
             command.refine.settings.largest(photos)?,
             command.finding.masks().is_some(),
-            &command.refine.settings.planned(steps, command.antialiased),
+            &command.refine.settings.planned(steps, command.antialiasing),
         )
     });
     let refined = refined.transpose()?;

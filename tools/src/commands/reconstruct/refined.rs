@@ -62,7 +62,7 @@ impl Reconstruct {
         let paths = photos;
         let photos = (PhotoFiles::new(photos, frames, masks)?, known.as_ref());
         let depth = known.as_ref().map(|known| known.kind);
-        let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiased, depth, paths) };
+        let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiasing, depth, paths) };
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
