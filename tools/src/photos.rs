@@ -127,11 +127,8 @@ pub struct Photographed {
 
 /// Photos of folders are in natural order. Notes skipped files, except hidden ones.
 pub fn list(session: &mut Session<'_>, paths: &[PathBuf], recursive: bool) -> Result<Vec<PathBuf>> {
-    let mut photos = Vec::new();
-    for path in paths {
-        photos.extend(list_path(session, path, recursive)?);
-    }
-    Ok(photos)
+    let listed: Result<Vec<_>> = paths.iter().map(|path| list_path(session, path, recursive)).collect();
+    Ok(listed?.concat())
 }
 
 fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<Vec<PathBuf>> {
@@ -213,8 +210,8 @@ fn sorted(folder: &Path, is_kept: fn(&PathBuf) -> bool) -> Result<Vec<PathBuf>> 
 
 /// Splits files into photos and others, such as HEIC pictures beside a photo of the same name.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
-    let stems: HashSet<OsString> =
-        files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();
+    let photos = files.iter().filter(|path| is_photo(path));
+    let stems: HashSet<OsString> = photos.filter_map(|path| path.file_stem().map(OsString::from)).collect();
     let is_copied = |path: &PathBuf| path.file_stem().is_some_and(|stem| stems.contains(stem));
     files.into_iter().partition(|path| is_photo(path) || is_heic(path) && !is_copied(path))
 }
