@@ -5,6 +5,7 @@ use super::growth::INVISIBLE;
 use crate::types::{Camera, Intrinsics, Pose, Scene, matrix_from_quaternion};
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
+use std::array;
 
 /// Cells of a side of a place's picture, twice as wide and high as the camera's: floaters beside a
 /// picture reach into it.
@@ -12,9 +13,10 @@ const CELLS: usize = 48;
 /// Least depth over the least initial one around a cell, and least distance from a place over that
 /// of its `ENOUGH`th nearest initial Gaussian.
 const RATIO: f64 = 0.3;
-/// Fewest initial Gaussians around a cell, and the quantile of all depths for fewer.
+/// Fewest initial Gaussians around a cell, and the quantile of a sample of depths for fewer.
 const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
+const SAMPLE: usize = 65_536;
 /// Largest factor of a floater's distance and size; others become invisible.
 const MOST_PUSHED: f64 = 10.0;
 /// Mahalanobis radius of a Gaussian for cameras inside it.
@@ -76,18 +78,22 @@ impl FreeSpace {
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
         let centers: Vec<DVec3> = compared.iter().map(|camera| camera.pose.translation).collect();
+        let limits: Vec<f64> = self.depths.iter().map(|depths| RATIO * largest(depths)).collect();
         let pushed = |mean: &[f32; 3]| {
-            let push = |(camera, depths): (&Camera, &Depths)| {
+            let push = |((camera, depths), limit): ((&Camera, &Depths), &f64)| {
+                if !(0.0..*limit).contains(&depth(camera, mean)) {
+                    return None;
+                }
                 let ([row, column], depth) = cell(camera, mean)?;
                 let factor = depths[row][column] / depth;
                 let push = || Correction::Push(camera.pose.translation, factor);
                 (RATIO * factor > 1.0).then(|| if factor < MOST_PUSHED { push() } else { Correction::Hide })
             };
-            compared.iter().zip(&self.depths).find_map(push)
+            compared.iter().zip(&self.depths).zip(&limits).find_map(push)
         };
         let is_near = |i: usize| {
             let [mean, _] = row(scene, i);
-            centers.iter().zip(&self.distances).any(|(center, least)| center.distance(mean) < *least)
+            centers.iter().zip(&self.distances).any(|(center, least)| center.distance_squared(mean) < least.powi(2))
         };
         let correction = |i: usize| {
             if scene.opacities[i] <= INVISIBLE {
@@ -148,11 +154,13 @@ fn row(scene: &Scene, i: usize) -> [DVec3; 2] {
 }
 
 /// Least distances of points from a Gaussian in standard deviations: Mahalanobis, and in a point's
-/// direction.
+/// direction. Both are infinite beyond `INSIDE`.
 fn deviations(scene: &Scene, i: usize, points: &[DVec3]) -> [f64; 2] {
     let axes = matrix_from_quaternion(scene.quats[i].map(f64::from)).transpose();
     let [mean, scales] = row(scene, i);
-    points.iter().fold([f64::INFINITY; 2], |[inside, beside], point| {
+    let limit = (INSIDE * scales.max_element()).powi(2);
+    let near = points.iter().filter(|point| point.distance_squared(mean) < limit);
+    near.fold([f64::INFINITY; 2], |[inside, beside], point| {
         let local = axes * (*point - mean);
         [inside.min((local / scales).length()), beside.min(local.length_squared() / (local * scales).length())]
     })
@@ -160,24 +168,47 @@ fn deviations(scene: &Scene, i: usize, points: &[DVec3]) -> [f64; 2] {
 
 /// Distance of the `ENOUGH`th nearest Gaussian, or 0.
 fn nearest_distance(scene: &Scene, center: DVec3) -> f64 {
-    let mut distances: Vec<f64> = (0..scene.len()).map(|i| center.distance(row(scene, i)[0])).collect();
-    if distances.len() < ENOUGH { 0.0 } else { *distances.select_nth_unstable_by(ENOUGH - 1, f64::total_cmp).1 }
+    let mut nearest = [f64::INFINITY; ENOUGH];
+    for i in 0..scene.len() {
+        let distance = center.distance_squared(row(scene, i)[0]);
+        if distance < nearest[ENOUGH - 1] {
+            nearest[ENOUGH - 1] = distance;
+            nearest.sort_unstable_by(f64::total_cmp);
+        }
+    }
+    if scene.len() < ENOUGH { 0.0 } else { nearest[ENOUGH - 1].sqrt() }
 }
 
 fn least_depths(scene: &Scene, camera: &Camera) -> Depths {
-    let mut least = [[(f64::INFINITY, 0); CELLS]; CELLS];
+    let mut cells = [[(f64::INFINITY, 0); CELLS]; CELLS];
     let mut depths = Vec::new();
-    for ([row, column], depth) in scene.means.iter().filter_map(|mean| cell(camera, mean)) {
-        depths.push(depth);
-        for cells in &mut least[row.saturating_sub(1)..(row + 2).min(CELLS)] {
-            for (least, count) in &mut cells[column.saturating_sub(1)..(column + 2).min(CELLS)] {
-                (*least, *count) = (depth.min(*least), *count + 1);
-            }
+    let seen = scene.means.iter().filter(|mean| depth(camera, mean) > 0.0).filter_map(|mean| cell(camera, mean));
+    for (i, ([row, column], depth)) in seen.enumerate() {
+        let (least, count) = &mut cells[row][column];
+        (*least, *count) = (depth.min(*least), *count + 1);
+        if i.is_multiple_of(scene.len().div_ceil(SAMPLE)) {
+            depths.push(depth);
         }
     }
     let rank = (QUANTILE * depths.len() as f64) as usize;
     let other = if depths.is_empty() { 0.0 } else { *depths.select_nth_unstable_by(rank, f64::total_cmp).1 };
-    least.map(|cells| cells.map(|(depth, count)| if count < ENOUGH { depth.min(other) } else { depth }))
+    let around = |at: usize| at.saturating_sub(1)..(at + 2).min(CELLS);
+    array::from_fn(|row| {
+        array::from_fn(|column| {
+            let near = cells[around(row)].iter().flat_map(|cells| &cells[around(column)]);
+            let (depth, count) = near.fold((f64::INFINITY, 0), |(a, n), (b, m)| (a.min(*b), n + m));
+            if count < ENOUGH { depth.min(other) } else { depth }
+        })
+    })
+}
+
+fn largest(depths: &Depths) -> f64 {
+    depths.as_flattened().iter().copied().fold(0.0, f64::max)
+}
+
+/// Faster than a projection, with another rounding.
+fn depth(camera: &Camera, point: &[f32; 3]) -> f64 {
+    camera.pose.rotation.z_axis.dot(DVec3::from(point.map(f64::from)) - camera.pose.translation)
 }
 
 /// Row and column of a point's cell, and its depth, if the camera sees it.

@@ -289,12 +289,13 @@ impl Gaussians {
     }
 
     /// Passes the root mean squares of the means' gradients to `change`, which returns the
-    /// Gaussians whose moments reset.
-    pub fn edit(&mut self, change: impl FnOnce(&mut Scene, &[f64]) -> Vec<usize>) -> Result<()> {
+    /// Gaussians whose moments reset, or `None` if it changed nothing.
+    pub fn edit(&mut self, change: impl FnOnce(&mut Scene, &[f64]) -> Option<Vec<usize>>) -> Result<()> {
         let (mut scene, memory) = (self.scene()?, &self.memories[0]);
         let squares: Vec<[f32; 3]> = memory.read(self.fields[0].moments[1])?;
         let root = |squares: &[f32; 3]| squares.iter().copied().map(f64::from).sum::<f64>().sqrt();
-        let changed = change(&mut scene, &squares.iter().map(root).collect::<Vec<_>>());
+        let roots: Vec<f64> = squares.iter().map(root).collect();
+        let Some(changed) = change(&mut scene, &roots) else { return Ok(()) };
         let count = scene.len();
         self.scene.write(memory, &bounded(scene))?;
         for Field { moments, len, .. } in &self.fields {

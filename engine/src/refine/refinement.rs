@@ -11,6 +11,7 @@ use super::{
     free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
+    length::GROWTH_FROM,
     pace::{Pace, Snapshots},
     photos::PhotoCache,
     planned::PhotoLoss,
@@ -40,7 +41,8 @@ pub(super) struct Refinement<'a> {
     /// Corrects the number of steps, if a time was given.
     pub pace: Option<Pace>,
     gaussians: Gaussians,
-    growth: Option<(Growth, FreeSpace)>,
+    growth: Option<Growth>,
+    free_space: Option<FreeSpace>,
     order: Order,
     training: Vec<usize>,
     upcoming: VecDeque<usize>,
@@ -98,10 +100,10 @@ impl<'a> Refinement<'a> {
             f64::from(options.learning_rates.camera_rotation),
             scene_distance * f64::from(options.learning_rates.camera_translation),
         ];
-        let growth = options.max_gaussians.map(|most| {
-            let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
-            (Growth::new(scene.len(), most, options.seed), FreeSpace::new(&scene, &training_cameras))
-        });
+        let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, options.seed));
+        let clears = growth.is_some() || steps >= GROWTH_FROM && gaussians.tokens.is_none();
+        let free_space =
+            clears.then(|| FreeSpace::new(&scene, &training.iter().map(|i| cameras[*i]).collect::<Vec<_>>()));
         let depth_weight = options.depth_loss.map_or(0.0, |loss| scene_distance * f64::from(loss.weight));
         scene.antialiased = options.antialiased.unwrap_or(scene.antialiased);
         gaussians.draw_as(&scene);
@@ -114,6 +116,7 @@ impl<'a> Refinement<'a> {
             pace: None,
             gaussians,
             growth,
+            free_space,
             training,
             upcoming: VecDeque::new(),
             factor: 0,
@@ -172,24 +175,21 @@ impl<'a> Refinement<'a> {
         let known = targets.flat_map(|depth| depth.iter()).filter(|target| **target > 0.0).count();
         let Self { losses, kept, holdout_psnr, holdout, sizes, schedule, .. } = self;
         let Kept { step: best_step, scene, cameras, exposures } = kept;
-        let exposures = exposures.map(|exposures| (0..cameras.len()).map(|photo| exposures.get(photo)).collect());
-        let training_psnr = [after, before];
-        let took = begin.elapsed();
         Ok(RefineResult {
             scene,
+            exposures: exposures.map(|all| (0..cameras.len()).map(|photo| all.get(photo)).collect()),
             cameras,
-            exposures,
             resumed_step,
             steps: schedule.steps,
             losses,
             best_step,
             holdout_psnr,
-            training_psnr,
+            training_psnr: [after, before],
             masked_fraction: ignored as f64 / pixels.max(1) as f64,
             depth_fraction: known as f64 / pixels.max(1) as f64,
             holdout_views: holdout,
             sizes,
-            took,
+            took: begin.elapsed(),
             peak_bytes,
             photo_bytes,
             stop_reason,
@@ -252,14 +252,8 @@ impl<'a> Refinement<'a> {
                 }
                 self.evaluate(done)?;
             }
-            if let Some((growth, free_space)) = self.growth.as_mut().filter(|_| evaluates && Growth::is_due(along)) {
-                let rate = self.fraction * self.schedule.rate(step);
-                let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
-                self.gaussians.edit(|scene, gradients| {
-                    let mut changed = free_space.clear(scene, &cameras);
-                    changed.extend(growth.apply(scene, gradients, along, rate));
-                    changed
-                })?;
+            if evaluates && Growth::is_due(along) {
+                self.clear_and_grow(along, weights[0])?;
             }
             if let Some(pace) = self.pace.as_mut().filter(|_| evaluates && done < steps) {
                 steps = pace.correct(done, steps);
@@ -283,6 +277,17 @@ impl<'a> Refinement<'a> {
         }
         self.keep();
         Ok(None)
+    }
+
+    fn clear_and_grow(&mut self, along: f64, rate: f32) -> Result<()> {
+        let Self { growth, free_space: Some(free_space), .. } = self else { return Ok(()) };
+        let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
+        self.gaussians.edit(|scene, gradients| {
+            let mut changed = free_space.clear(scene, &cameras);
+            let Some(growth) = growth else { return (!changed.is_empty()).then_some(changed) };
+            changed.extend(growth.apply(scene, gradients, along, rate));
+            Some(changed)
+        })
     }
 
     fn stop(&mut self, done: usize, why: StopReason) -> Result<Option<StopReason>> {
@@ -314,14 +319,6 @@ impl<'a> Refinement<'a> {
             }
         }
         self.exposures.iter_mut().for_each(Exposures::center);
-    }
-
-    fn sizes(&self, factor: u32) -> impl Iterator<Item = [u32; 2]> {
-        self.training.iter().map(move |i| self.photos.size(*i, factor))
-    }
-
-    fn shortest(&self) -> u32 {
-        self.sizes(1).flatten().min().unwrap_or(0)
     }
 
     fn resize(&mut self, step: usize) {

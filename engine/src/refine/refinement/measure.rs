@@ -62,6 +62,14 @@ impl Refinement<'_> {
         self.gaussians.reserve(&views[0], exposed)
     }
 
+    pub(super) fn sizes(&self, factor: u32) -> impl Iterator<Item = [u32; 2]> {
+        self.training.iter().map(move |i| self.photos.size(*i, factor))
+    }
+
+    pub(super) fn shortest(&self) -> u32 {
+        self.sizes(1).flatten().min().unwrap_or(0)
+    }
+
     fn first_views(&mut self) -> Result<Vec<View>> {
         let chosen = &self.training[..self.training.len().min(self.options.views_per_step)];
         self.photos.views(self.cameras.all(), chosen, &[], 1)

@@ -100,7 +100,7 @@ impl Refinement<'_> {
         self.gaussians.state(state)?;
         self.cameras.state(state)?;
         self.order.state(state)?;
-        self.growth.iter_mut().try_for_each(|(growth, _)| growth.state(state))?;
+        self.growth.iter_mut().try_for_each(|growth| growth.state(state))?;
         let mut upcoming: Vec<u64> = self.upcoming.iter().map(|photo| *photo as u64).collect();
         state.list("upcoming", &mut upcoming)?;
         self.upcoming = upcoming.into_iter().map(|photo| photo as usize).collect();
