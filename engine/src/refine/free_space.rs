@@ -1,5 +1,5 @@
-//! Floaters: Gaussians in initially empty space. They fit one photo and veil the pictures of
-//! cameras beside it.
+//! Floaters: Gaussians in initially empty space, which fit one photo and veil pictures of cameras
+//! beside it.
 
 use super::growth::INVISIBLE;
 use crate::types::{Camera, Intrinsics, Pose, Scene, matrix_from_quaternion};
@@ -13,7 +13,7 @@ const CELLS: usize = 48;
 /// Least depth over the least initial one around a cell, and least distance from a place over that
 /// of its `ENOUGH`th nearest initial Gaussian.
 const RATIO: f64 = 0.3;
-/// Fewest initial Gaussians around a cell, and the quantile of a sample of depths for fewer.
+/// Fewest initial Gaussians around a cell, and the quantile of depths for fewer.
 const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
 const SAMPLE: usize = 65_536;
@@ -21,8 +21,8 @@ const SAMPLE: usize = 65_536;
 const MOST_PUSHED: f64 = 10.0;
 /// Mahalanobis radius of a Gaussian for cameras inside it.
 const INSIDE: f64 = 3.0;
-/// Least distance from a place in standard deviations in that direction. Projection is linear: a
-/// wider Gaussian beside a camera veils its whole picture.
+/// Least distance from a place in standard deviations in that direction: projected linearly, wider
+/// Gaussians veil the whole picture.
 const BESIDE: f64 = 2.0;
 /// Places between a camera and its `NEAREST` ones, as fractions of the way. No training photo
 /// penalizes floaters there.
@@ -41,7 +41,7 @@ pub(super) struct FreeSpace {
     around: Vec<bool>,
 }
 
-/// Correction of a floater.
+/// Correction of floaters.
 #[derive(Clone, Copy)]
 enum Correction {
     Hide,
@@ -206,7 +206,7 @@ fn largest(depths: &Depths) -> f64 {
     depths.as_flattened().iter().copied().fold(0.0, f64::max)
 }
 
-/// Faster than a projection, with another rounding.
+/// Faster than a projection.
 fn depth(camera: &Camera, point: &[f32; 3]) -> f64 {
     camera.pose.rotation.z_axis.dot(DVec3::from(point.map(f64::from)) - camera.pose.translation)
 }

@@ -4,7 +4,7 @@ use super::{Photos, RefineOptions, views::fitted};
 use crate::{Error, Result};
 use std::{iter::successors, time::Duration};
 
-/// Fewest steps with growth by default, and with cleared floaters if nothing grows.
+/// Fewest steps with growth or, without it, cleared floaters.
 pub(super) const GROWTH_FROM: usize = 50;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: f64 = 32.0;

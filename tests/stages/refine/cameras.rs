@@ -1,5 +1,3 @@
-//! Refined cameras.
-
 use super::*;
 
 /// By a degree and 1 % of the scene's distance, except the first and `held_out`.

@@ -95,7 +95,6 @@ fn floaters_are_cleared_without_growth() {
         };
         means.iter().zip(&scales).map(ratio).fold(0.0, f64::max)
     };
-    // Too few steps clear nothing.
     let [kept, cleared] = [49, 60].map(widest);
     assert!(kept > 5.0 && cleared < 3.0, "{kept} and {cleared}");
 }
