@@ -32,11 +32,11 @@ pub fn golden(name: &str) -> Architecture {
 
 /// Minimal and multi-view, without the Gaussian head.
 pub fn depth_micro() -> DepthArchitecture {
-    DepthArchitecture::new("da3-micro", [64, 4, 1], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
+    DepthArchitecture::new("da3-micro", [64, 4, 1], Ffn::Gelu, [0, 1, 2, 3], 8, [8, 8, 8, 8])
 }
 
 pub fn depth_micro_alone() -> DepthArchitecture {
-    DepthArchitecture::new("da3-micro-alone", [64, 4, 4], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
+    DepthArchitecture::new("da3-micro-alone", [64, 4, 4], Ffn::Gelu, [0, 1, 2, 3], 8, [8, 8, 8, 8])
 }
 
 /// Returns a small network on VGGT with two feature pairs of three.

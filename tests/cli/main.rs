@@ -125,8 +125,7 @@ impl Folder {
 
     /// `vggt.safetensors` of VGGT, `tokens.safetensors` of ZipSplat on VGGT.
     fn with_vggt(self) -> Self {
-        let maps = (8, [8, 8, 8, 8]);
-        let architecture = DepthArchitecture::vggt("vggt-micro", 64, [1, 4], [0, 1, 2, 3], maps);
+        let architecture = DepthArchitecture::vggt("vggt-micro", 64, [1, 4], [0, 1, 2, 3], 8, [8; 4]);
         let architecture = DepthArchitecture { points: true, ..architecture };
         let checkpoint = DepthCheckpoint::seeded(architecture, "micro").expect("a network");
         let path = self.path("vggt.safetensors");

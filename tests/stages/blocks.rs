@@ -219,8 +219,8 @@ fn photos_that_are_all_masked_are_refused() {
 fn the_memory_decides_the_size() {
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network");
     let network = Network::of(&checkpoint, device().limits(), Arithmetic::EXACT).expect("a network");
-    let chosen = (Ratio::Fixed(1.0), &TokenSelection::KMEANS);
-    let shape = |views| Shape::new(checkpoint.architecture(), views, SIZE, chosen, true);
+    let shape =
+        |views| Shape::new(checkpoint.architecture(), views, SIZE, Ratio::Fixed(1.0), &TokenSelection::KMEANS, true);
     let whole = network.plan(device().limits(), shape(40).expect("a shape")).expect("a plan").bytes();
     let layout = |memory_bytes: u64| {
         let limits = Limits { memory_bytes, ..device().limits().clone() };

@@ -15,8 +15,8 @@ pub(crate) fn architecture(config: &str) -> DepthArchitecture {
     let depth = number(&conf["depth"]);
     if conf.get("trunk").is_some() {
         let blocks = [number(&conf["dino_depth"]), depth];
-        let maps = (number(&conf["features"]), four("channels"));
-        let mut found = DepthArchitecture::vggt(config, number(&conf["D"]), blocks, four("layers"), maps);
+        let [width, features] = ["D", "features"].map(|key| number(&conf[key]));
+        let mut found = DepthArchitecture::vggt(config, width, blocks, four("layers"), features, four("channels"));
         (found.backbone.heads, found.points) = (number(&conf["heads"]), true);
         found.backbone.position_grid = number(&conf["size"]) / 14;
         let camera = found.camera_head.as_mut().expect("a head for cameras");
@@ -25,8 +25,8 @@ pub(crate) fn architecture(config: &str) -> DepthArchitecture {
     }
     let alt = conf["alt"].as_u64().map_or(depth, |alt| alt as usize);
     let ffn = if conf["ffn"].is_string() { Ffn::SwiGlu } else { Ffn::Gelu };
-    let maps = (number(&conf["features"]), four("channels"));
-    let mut found = DepthArchitecture::new(config, [number(&conf["D"]), depth, alt], ffn, four("out"), maps);
+    let [width, features] = ["D", "features"].map(|key| number(&conf[key]));
+    let mut found = DepthArchitecture::new(config, [width, depth, alt], ffn, four("out"), features, four("channels"));
     found.backbone.heads = number(&conf["heads"]);
     found
 }

@@ -1,7 +1,6 @@
 use zipsplat::{depth::DepthNetwork, gpu::Profile, weights::DepthArchitecture};
 use zipsplat_tests::prelude::*;
 
-const ALL: (Ratio, &TokenSelection) = (Ratio::Fixed(1.0), &TokenSelection::KMEANS);
 /// Giga multiply-adds per view: network, size, depth and ray branch.
 const HEADS: [(&str, [u32; 2], f64, f64); 4] = [
     ("da3-small", [504, 336], 7.1, 8.6),
@@ -20,7 +19,7 @@ const BACKBONES: [(&str, [u32; 2], usize, f64); 4] = [
 fn profile(name: &str, size: [u32; 2], views: usize) -> Profile {
     let (architecture, limits) = (DepthArchitecture::named(name).unwrap(), Limits::default());
     let network = DepthNetwork::new(&architecture, &limits, Arithmetic::EXACT);
-    let shape = network.shape(views, size, ALL, false, None).unwrap();
+    let shape = network.shape(views, size, Ratio::Fixed(1.0), &TokenSelection::KMEANS, false, None).unwrap();
     Profile::outline(&network.plan(&limits, shape).unwrap().0)
 }
 
@@ -67,7 +66,7 @@ fn scratch_of_heads_is_of_one_view() {
     let limits = Limits::default();
     let network = DepthNetwork::new(&architecture, &limits, Arithmetic::EXACT);
     let bytes = |views: usize| {
-        let shape = network.shape(views, [504, 336], ALL, false, None).unwrap();
+        let shape = network.shape(views, [504, 336], Ratio::Fixed(1.0), &TokenSelection::KMEANS, false, None).unwrap();
         network.plan(&limits, shape).unwrap().0.arena_bytes()
     };
     let (few, many) = (bytes(4), bytes(8));

@@ -6,8 +6,7 @@ use zipsplat::weights::{DEPTH_MODELS, DepthArchitecture, DepthCheckpoint, DepthH
 use zipsplat_tests::{pickles::*, prelude::*};
 
 fn tiny() -> DepthArchitecture {
-    let maps = (32, [16, 24, 32, 48]);
-    let tiny = DepthArchitecture::new("da3_tiny", [128, 6, 2], Ffn::Gelu, [2, 3, 4, 5], maps);
+    let tiny = DepthArchitecture::new("da3_tiny", [128, 6, 2], Ffn::Gelu, [2, 3, 4, 5], 32, [16, 24, 32, 48]);
     DepthArchitecture { gaussians: true, ..tiny }
 }
 
@@ -56,7 +55,7 @@ fn released_layouts_are_read() {
 
 #[test]
 fn archives_of_pytorch_are_read() {
-    let vggt = DepthArchitecture::vggt("tiny", 64, [1, 4], [0, 1, 2, 3], (8, [8; 4]));
+    let vggt = DepthArchitecture::vggt("tiny", 64, [1, 4], [0, 1, 2, 3], 8, [8; 4]);
     let seeded = DepthCheckpoint::seeded(vggt.clone(), "tiny").unwrap();
     let stored = |(i, (name, shape)): (usize, &(String, Vec<usize>))| {
         let mut values: Vec<f32> = vec![0.0; shape.iter().product()];

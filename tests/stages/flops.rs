@@ -36,8 +36,7 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
 #[test]
 fn pooled_keys_take_as_much_less() {
     let (limits, architecture) = (Limits::default(), Architecture::named("vits").expect("a variant"));
-    let shape =
-        Shape::new(&architecture, 24, [252; 2], (Ratio::Auto, &TokenSelection::KMEANS), false).expect("a shape");
+    let shape = Shape::new(&architecture, 24, [252; 2], Ratio::Auto, &TokenSelection::KMEANS, false).expect("a shape");
     let plan = |shape| {
         let network = Network::new(&architecture, &limits, Arithmetic::EXACT);
         network.plan(&limits, shape).expect("it fits")
@@ -76,8 +75,8 @@ fn plans_state_the_arithmetic_of_the_reference() {
     for row in rows {
         let &[variant, views, ratio, tokens, ref flops @ ..] = &row[..] else { panic!("{row:?}") };
         let architecture = Architecture::named(variant).expect("a variant");
-        let chosen = (ratio.parse().map_or(Ratio::Auto, Ratio::Fixed), &TokenSelection::KMEANS);
-        let shape = Shape::new(&architecture, views.parse().unwrap(), [252; 2], chosen, false).expect("a shape");
+        let (views, ratio) = (views.parse().unwrap(), ratio.parse().map_or(Ratio::Auto, Ratio::Fixed));
+        let shape = Shape::new(&architecture, views, [252; 2], ratio, &TokenSelection::KMEANS, false).unwrap();
         assert_eq!(shape.tokens.to_string(), tokens, "{row:?}");
         assert_eq!(flops.len(), COLUMNS.len(), "{row:?}");
         for arithmetic in arithmetics {

@@ -60,7 +60,8 @@ impl KnownDepth {
     pub fn open(
         session: &mut Session<'_>,
         source: &Path,
-        (files, frames): (&[PathBuf], &[&CaptureView]),
+        files: &[PathBuf],
+        frames: &[&CaptureView],
         cameras: &[Camera],
         unit: f64,
     ) -> Result<Self> {

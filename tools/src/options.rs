@@ -238,8 +238,8 @@ impl Quality {
     }
 
     pub fn shape(&self, architecture: &Architecture, views: usize, size: Size, cameras: bool) -> Result<Shape> {
-        let chosen = (self.ratio, &self.token_selection);
-        Ok(Shape::new(architecture, views, [size.0, size.1], chosen, cameras)?.pooled(self.kv_pool))
+        Ok(Shape::new(architecture, views, [size.0, size.1], self.ratio, &self.token_selection, cameras)?
+            .pooled(self.kv_pool))
     }
 
     /// Without `cameras` the network estimates them.

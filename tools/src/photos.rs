@@ -48,7 +48,7 @@ impl PhotoArgs {
         unposed: Option<&MaskArgs>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
-        self.reading.list(session, (&self.photos, frames), unposed, named_in)
+        self.reading.list(session, &self.photos, frames, unposed, named_in)
     }
 }
 
@@ -74,7 +74,8 @@ impl Reading {
     pub fn list(
         &self,
         session: &mut Session<'_>,
-        (paths, frames): (&[PathBuf], Option<u32>),
+        paths: &[PathBuf],
+        frames: Option<u32>,
         unposed: Option<&MaskArgs>,
         named_in: Option<(&Path, Overwrite)>,
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {

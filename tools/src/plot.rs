@@ -61,7 +61,7 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     let root = SVGBackend::with_string(&mut svg, (SIZE.0, SIZE.1 + height)).into_drawing_area();
     let (chart, below) = root.split_vertically(SIZE.1);
     (root.fill(&WHITE).map_err(Into::into))
-        .and_then(|()| draw(&chart, (x, range(|at| at.x)), (y, range(|at| at.y)), shown, &points, &line))
+        .and_then(|()| draw(&chart, [x, y], [range(|at| at.x), range(|at| at.y)], shown, &points, &line))
         .and_then(|()| draw_legend(&below, legend))
         .and_then(|()| Ok(root.present()?))
         .expect("writing to a string does not fail");
@@ -135,8 +135,8 @@ fn draw_legend(area: &Area<'_>, entries: Vec<Entry>) -> Drawn {
 
 fn draw(
     root: &Area<'_>,
-    (x, x_range): (Axis<'_>, Range<f64>),
-    (y, y_range): (Axis<'_>, Range<f64>),
+    [x, y]: [Axis<'_>; 2],
+    [x_range, y_range]: [Range<f64>; 2],
     series: &[Series],
     placed: &[Vec<At>],
     line: &[At],

@@ -141,10 +141,10 @@ impl DepthModel {
     /// Returns the shape for these options.
     pub fn shape(&self, images: &[Image], options: &DepthOptions) -> Result<DepthShape> {
         let size = size_of(images)?;
-        let chosen = (options.ratio, &options.token_selection);
-        let shape =
-            self.network.shape(images.len(), size, chosen, options.cameras.is_some(), options.reference_view)?;
-        options.cameras.iter().try_for_each(|cameras| check_cameras(cameras, images))?;
+        let DepthOptions { ratio, token_selection, cameras, reference_view, .. } = options;
+        let posed = cameras.is_some();
+        let shape = self.network.shape(images.len(), size, *ratio, token_selection, posed, *reference_view)?;
+        cameras.iter().try_for_each(|cameras| check_cameras(cameras, images))?;
         Ok(DepthShape { keeps_features: options.keep_features, ..shape })
     }
 

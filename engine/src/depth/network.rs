@@ -56,7 +56,8 @@ impl DepthNetwork {
         &self,
         views: usize,
         [width, height]: [u32; 2],
-        chosen: (Ratio, &TokenSelection),
+        ratio: Ratio,
+        selection: &TokenSelection,
         cameras: bool,
         reference: Option<usize>,
     ) -> Result<DepthShape> {
@@ -73,7 +74,7 @@ impl DepthNetwork {
             None if views > 2 && a.backbone.chooses_reference() => Reference::Balanced,
             None => Reference::View(0),
         };
-        let (tokens, kept) = TokenSampling::of(grid, chosen)?;
+        let (tokens, kept) = TokenSampling::of(grid, ratio, selection)?;
         Ok(DepthShape { grid, cameras, reference, tokens, kept, keeps_features: false })
     }
 

@@ -21,10 +21,10 @@ pub(super) fn pixel_point(camera: &Camera, at: usize, width: usize, depth: f64) 
 /// Adds an isotropic Gaussian per pixel of positive depth.
 pub fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]) {
     let shown = depth.iter().enumerate().filter(|(_, depth)| **depth > 0.0);
-    shown.for_each(|(at, depth)| add_pixel(scene, camera, image, at, (*depth, OPACITY)));
+    shown.for_each(|(at, depth)| add_pixel(scene, camera, image, at, *depth, OPACITY));
 }
 
-fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (depth, opacity): (f32, f32)) {
+fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, depth: f32, opacity: f32) {
     let z = f64::from(depth);
     scene.means.push(pixel_point(camera, at, image.width as usize, z));
     scene.scales.push([(SIGMA * z / camera.intrinsics.fx) as f32; 3]);
@@ -62,8 +62,10 @@ impl DepthPrediction {
                 }
                 None => {
                     let mut round = Scene::default();
-                    let shown = |at: usize| (view.depth[at], view.opacity(at, least));
-                    at.iter().for_each(|&at| add_pixel(&mut round, &cameras[i], &images[i], at, shown(at)));
+                    for &at in &at {
+                        let (depth, opacity) = (view.depth[at], view.opacity(at, least));
+                        add_pixel(&mut round, &cameras[i], &images[i], at, depth, opacity);
+                    }
                     round
                 }
             };

@@ -40,7 +40,7 @@ impl LiftMemory {
         channels: usize,
         cells: [u32; 2],
     ) -> Result<Self> {
-        let (rows, first_capacity) = (rows(scene, group)?.count, first_capacity(scene.len()));
+        let (rows, first_capacity) = (rows(scene, group)?, first_capacity(scene.len()));
         let mut scene_layout = ResidentLayout::new(limits);
         let tensors = SceneTensors::lay_out(&mut scene_layout, scene.len(), used_degree(scene));
         let of = |vectors: usize| {

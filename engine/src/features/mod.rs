@@ -15,7 +15,7 @@ use crate::{
     stages::{
         FrameShape, ViewGrid,
         render::{
-            DeviceScene, FeatureRows, PlanCache, PlanKey, Renderer, VECTOR, VECTORS_AT_ONCE, camera_rows, check_camera,
+            DeviceScene, PlanCache, PlanKey, Renderer, VECTOR, VECTORS_AT_ONCE, camera_rows, check_camera,
             first_capacity, needed,
         },
     },
@@ -74,7 +74,7 @@ impl Features {
     /// # Errors
     /// [`Error::Argument`] for another number of rows.
     pub fn validate(&self, scene: &Scene) -> Result<()> {
-        let rows = rows(scene, self.group)?.count;
+        let rows = rows(scene, self.group)?;
         let expected = rows * self.channels;
         if self.channels == 0 || self.values.len() != expected {
             let found = format!("{} values of {} channels", self.values.len(), self.channels);
@@ -114,8 +114,8 @@ impl FeatureRenderer {
         mut values: impl FnMut(usize) -> Result<PixelValues>,
     ) -> Result<Lifted> {
         let rows = rows(scene, group)?;
-        let features = Features { values: vec![0.0; rows.count * channels], channels, group };
-        let mut lifted = Lifted { features, weights: vec![0.0; rows.count] };
+        let features = Features { values: vec![0.0; rows * channels], channels, group };
+        let mut lifted = Lifted { features, weights: vec![0.0; rows] };
         lifted.features.validate(scene)?;
         check(cameras)?;
         if scene.is_empty() || cameras.is_empty() {
@@ -123,7 +123,7 @@ impl FeatureRenderer {
         }
         let device_scene = self.load(scene)?;
         let _claim = self.arena.claim().expect("nobody else knows it");
-        let mut vectors = channels.div_ceil(VECTOR).min(self.vectors_at_once(rows.count + self.plans.capacity));
+        let mut vectors = channels.div_ceil(VECTOR).min(self.vectors_at_once(rows + self.plans.capacity));
         let mut first = 0;
         while first < channels {
             let part = first..channels.min(first + VECTOR * vectors);
@@ -193,10 +193,10 @@ impl FeatureRenderer {
         let device_scene = self.load(scene)?;
         let _claim = self.arena.claim().expect("nobody else knows it");
         let pixels = pictures.iter().map(|picture| picture.values.len() / channels).max().unwrap_or(0);
-        let passes = (self.vectors_at_once(rows.count + pixels) / VECTORS_AT_ONCE).max(1);
+        let passes = (self.vectors_at_once(rows + pixels) / VECTORS_AT_ONCE).max(1);
         for first in (0..channels).step_by(CHANNELS_AT_ONCE * passes) {
             let passes = passes.min((channels - first).div_ceil(CHANNELS_AT_ONCE));
-            let part = self.part(rows.count, &vec![VECTORS_AT_ONCE; passes])?;
+            let part = self.part(rows, &vec![VECTORS_AT_ONCE; passes])?;
             let range = |pass: usize| {
                 let first = first + pass * CHANNELS_AT_ONCE;
                 first..(first + CHANNELS_AT_ONCE).min(channels)
@@ -258,12 +258,12 @@ impl FeatureRenderer {
     }
 }
 
-fn rows(scene: &Scene, group: usize) -> Result<FeatureRows> {
+fn rows(scene: &Scene, group: usize) -> Result<usize> {
     if group == 0 || !scene.len().is_multiple_of(group) {
         let expected = format!("a divisor of the scene's {} Gaussians", scene.len());
         return Err(Error::argument("Gaussians per feature", group, expected));
     }
-    Ok(FeatureRows { count: scene.len() / group, group })
+    Ok(scene.len() / group)
 }
 
 fn check(cameras: &[Camera]) -> Result<()> {

@@ -4,7 +4,8 @@ use crate::{
     stages::{
         FrameShape,
         render::{
-            CameraRows, DeviceScene, FeatureRows, RenderOptions, SceneTensors, VECTOR, record_lift, record_pictures,
+            CameraRows, DeviceScene, FeatureFrame, Lifting, RenderOptions, SceneTensors, VECTOR, record_lift,
+            record_pictures,
         },
     },
     types::Scene,
@@ -79,16 +80,16 @@ impl PlanTensors {
             antialiased: Some(job.antialiased),
             ..RenderOptions::default()
         };
+        let frame = FeatureFrame { scene, camera, shape, options: &options, capacity };
         let Some(cells) = job.cells else {
-            let from = (&part.features[..], job.group);
-            let (pictures, status) = record_pictures(rec, scene, camera, shape, &options, capacity, from);
+            let (pictures, status) = record_pictures(rec, frame, &part.features, job.group);
             return Self { camera, values: None, pictures, status };
         };
         let count = cells[0] as usize * cells[1] as usize * job.vectors;
         let values = rec.input::<[f32; VECTOR]>("values", count);
-        let rows = FeatureRows { count: scene.len.div_ceil(job.group), group: job.group };
-        let (from, into) = ((values, cells, job.vectors), (rows, part.features[0], part.totals));
-        let status = record_lift(rec, scene, camera, shape, &options, capacity, from, into);
+        let Job { vectors, group, .. } = job;
+        let lifting = Lifting { values, cells, vectors, group, lifted: part.features[0], totals: part.totals };
+        let status = record_lift(rec, frame, lifting);
         Self { camera, values: Some(values), pictures: Vec::new(), status }
     }
 }

@@ -46,7 +46,15 @@ pub(super) const QK_NORM_EPS: f32 = 1e-5;
 
 impl Block {
     /// Declares a block with epsilon `eps` in its residual norms.
-    pub fn new(p: &mut ParameterLayout, name: &str, heads: Heads, qk_norm: bool, ffn: (Ffn, usize), eps: f32) -> Self {
+    pub fn new(
+        p: &mut ParameterLayout,
+        name: &str,
+        heads: Heads,
+        qk_norm: bool,
+        ffn: Ffn,
+        hidden: usize,
+        eps: f32,
+    ) -> Self {
         let width = heads.width();
         let head_norm = |p: &mut ParameterLayout, n| p.norm(&format!("{name}.attn.{n}_norm"), heads.dim, QK_NORM_EPS);
         Self {
@@ -57,7 +65,7 @@ impl Block {
             qk_norm: qk_norm.then(|| ["q", "k"].map(|n| head_norm(p, n))),
             proj: p.block_linear(&format!("{name}.attn.proj"), width, width),
             gamma1: p.vector(&format!("{name}.ls1.gamma"), &[width]),
-            mlp: Mlp::new(p, name, width, ffn, eps),
+            mlp: Mlp::new(p, name, width, ffn, hidden, eps),
         }
     }
 
@@ -88,7 +96,7 @@ impl Block {
                     attention.split(rec, columns, part.start, what, out);
                 }
                 if let Some(pool) = pool.filter(|_| i > 0) {
-                    attention.split_common(rec, columns, (pool, part.start / pool.tokens()), what, [out, log_counts]);
+                    attention.split_common(rec, columns, pool, part.start / pool.tokens(), what, [out, log_counts]);
                 }
             }
         }
@@ -100,7 +108,7 @@ impl Block {
 }
 
 impl Mlp {
-    pub fn new(p: &mut ParameterLayout, name: &str, width: usize, (ffn, hidden): (Ffn, usize), eps: f32) -> Self {
+    pub fn new(p: &mut ParameterLayout, name: &str, width: usize, ffn: Ffn, hidden: usize, eps: f32) -> Self {
         let norm = p.norm(&format!("{name}.norm2"), width, eps);
         let (fc1, fc2, activation) = match ffn {
             Ffn::Gelu => (

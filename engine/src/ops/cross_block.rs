@@ -35,7 +35,7 @@ impl CrossBlock {
             k_norm: p.norm(&format!("{name}.attn.k_norm"), heads.dim, QK_NORM_EPS),
             proj: p.block_linear(&format!("{name}.attn.proj"), width, width),
             gamma1: p.vector(&format!("{name}.ls1.gamma"), &[width]),
-            mlp: Mlp::new(p, name, width, (Ffn::Gelu, hidden), eps),
+            mlp: Mlp::new(p, name, width, Ffn::Gelu, hidden, eps),
         }
     }
 

@@ -46,7 +46,8 @@ impl Attention {
         &self,
         rec: &mut Recorder,
         projection: Columns,
-        (pool, view): (Pool, usize),
+        pool: Pool,
+        view: usize,
         part: Part,
         [out, log_counts]: [Tensor; 2],
     ) {

@@ -211,12 +211,8 @@ impl Model {
     /// # Errors
     /// [`Error::Argument`] for invalid options.
     pub fn block_layout(&self, views: usize, size: [u32; 2], options: &ReconstructOptions) -> Result<BlockLayout> {
-        let chosen = (options.ratio, &options.token_selection);
         let limits = Limits { memory_bytes: self.available_bytes(), ..self.device.limits().clone() };
-        self.network.block_layout(&limits, views, options.blocks, |views| {
-            Shape::new(self.architecture(), views, size, chosen, options.cameras.is_some())
-                .map(|shape| shape.pooled(options.kv_pool))
-        })
+        self.network.block_layout(&limits, views, options.blocks, |views| self.shape_of_views(views, size, options))
     }
 
     /// Returns the device's memory without that of others, such as kept scenes in use.
@@ -272,7 +268,7 @@ impl Model {
             let made = self.pass(&views, &options, |now| {
                 progress(Progress { fraction: (i as f64 + now.fraction) / blocks.len() as f64, ..now })
             })?;
-            joined.add(made, (i, block), origin)?;
+            joined.add(made, i, block, origin)?;
         }
         joined.finish(self, images.len())
     }
@@ -294,7 +290,7 @@ struct Joined {
 }
 
 impl Joined {
-    fn add(&mut self, made: Reconstruction, (i, block): (usize, &Block), origin: Option<Pose>) -> Result<()> {
+    fn add(&mut self, made: Reconstruction, i: usize, block: &Block, origin: Option<Pose>) -> Result<()> {
         let mut scene = made.to_scene()?;
         let means = if scene.is_empty() { Vec::new() } else { made.patches.means(&scene)? };
         let patches = made.patches.grid.patches();

@@ -1,5 +1,5 @@
 use super::{
-    Model, Patches, ReconstructOptions, Reconstruction, Shape,
+    Model, Outputs, Patches, ReconstructOptions, Reconstruction, Shape,
     network::FeatureTensors,
     patches::{all_masked, masked_patches},
     write_choice,
@@ -139,7 +139,8 @@ impl Model {
             let memories = [self.parameters.resident.clone(), features.memory.clone(), scene.resident().clone()];
             let mut run = Run::in_arena(arena, 0, rec.finish()?, memories)?;
             let masked = features.masked.as_deref();
-            self.decode(&mut run, (choice, &mut scene), shape, &options, masked, &mut progress)
+            let outputs = Outputs { choice, scene: &mut scene };
+            self.decode(&mut run, outputs, shape, &options, masked, &mut progress)
         })?;
         if made.patches.is_empty() {
             return Err(all_masked());
@@ -179,8 +180,7 @@ impl Model {
     fn shape_of(&self, features: &BackboneFeatures, options: &ReconstructOptions) -> Result<Shape> {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
         let size = [grid.columns, grid.rows].map(|count| (count * grid.patch_size) as u32);
-        let chosen = (options.ratio, &options.token_selection);
-        Shape::new(self.architecture(), grid.views, size, chosen, cameras)
+        Shape::new(self.architecture(), grid.views, size, options.ratio, &options.token_selection, cameras)
             .map(|shape| shape.pooled(features.shape.kv_pool))
     }
 }

@@ -226,7 +226,7 @@ impl Model {
             run.replace_resident(scenes[free].resident().clone());
             self.write_photos(run, &tensors.inputs, shape, images, options)?;
             let masked = masked_patches(shape.grid, images);
-            let outputs = (tensors.choice, &mut scenes[free]);
+            let outputs = Outputs { choice: tensors.choice, scene: &mut scenes[free] };
             self.decode(run, outputs, shape, options, masked.as_deref(), &mut progress)
         })
     }
@@ -253,7 +253,7 @@ impl Model {
     fn decode(
         &self,
         run: &mut Run,
-        (choice, scene): (Choice, &mut SceneMemory),
+        Outputs { choice, scene }: Outputs<'_>,
         shape: Shape,
         options: &ReconstructOptions,
         masked: Option<&[bool]>,
@@ -302,9 +302,13 @@ impl Model {
         if let Some(cameras) = &options.cameras {
             check_cameras(cameras, images)?;
         }
-        let chosen = (options.ratio, &options.token_selection);
-        Shape::new(self.architecture(), images.len(), size, chosen, options.cameras.is_some())
-            .map(|shape| shape.pooled(options.kv_pool))
+        self.shape_of_views(images.len(), size, options)
+    }
+
+    fn shape_of_views(&self, views: usize, size: [u32; 2], options: &ReconstructOptions) -> Result<Shape> {
+        let ReconstructOptions { ratio, token_selection, cameras, kv_pool, .. } = options;
+        let shape = Shape::new(self.architecture(), views, size, *ratio, token_selection, cameras.is_some())?;
+        Ok(shape.pooled(*kv_pool))
     }
 
     /// Records a plan, optionally observed.
@@ -353,6 +357,11 @@ impl Model {
         let backbone = &self.network.stages.backbone;
         backbone.write(run, &inputs.backbone, shape.grid, cameras.as_deref(), &self.parameters)
     }
+}
+
+struct Outputs<'a> {
+    choice: Choice,
+    scene: &'a mut SceneMemory,
 }
 
 fn write_choice(run: &mut Run, choice: Choice, shape: Shape, options: &ReconstructOptions) -> Result<()> {

@@ -111,14 +111,15 @@ impl Shape {
         architecture: &Architecture,
         views: usize,
         [width, height]: [u32; 2],
-        chosen: (Ratio, &TokenSelection),
+        ratio: Ratio,
+        selection: &TokenSelection,
         cameras: bool,
     ) -> Result<Self> {
         let grid = grid(architecture.patch_size, views, width as usize, height as usize)?;
         if cameras && !architecture.takes_cameras() {
             return Err(Error::argument("cameras", "some", no_camera_encoder(&architecture.name)));
         }
-        let (tokens, kept) = TokenSampling::of(grid, chosen)?;
+        let (tokens, kept) = TokenSampling::of(grid, ratio, selection)?;
         Ok(Self { grid, tokens, kept, cameras, kv_pool: KvPool::ALL })
     }
 

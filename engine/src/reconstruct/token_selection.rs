@@ -97,7 +97,7 @@ pub(crate) struct SelectedTokens {
 }
 
 impl TokenSampling {
-    pub(crate) fn of(grid: ViewGrid, (ratio, selection): (Ratio, &TokenSelection)) -> Result<(usize, Self)> {
+    pub(crate) fn of(grid: ViewGrid, ratio: Ratio, selection: &TokenSelection) -> Result<(usize, Self)> {
         let all = grid.tokens();
         if let TokenSelection::Kmeans(rounds) = selection
             && !(1..=MAX_ROUNDS).contains(rounds)

@@ -10,7 +10,8 @@ pub(super) fn targets(
     i: usize,
     depth: &[f32],
     from: [u32; 2],
-    (to, mask): ([u32; 2], Option<&[u8]>),
+    to: [u32; 2],
+    mask: Option<&[u8]>,
     kind: DepthKind,
 ) -> Result<Arc<[f32]>> {
     let [[from_width, from_height], [width, height]] = [from, to].map(|size| size.map(|side| side as usize));
@@ -48,7 +49,7 @@ mod tests {
     #[test]
     fn the_nearest_depth_of_visible_pixels_counts() {
         let depth: Vec<f32> = (0..8).map(|i| if i == 6 { 0.0 } else { (1 << i) as f32 }).collect();
-        let found = |to, mask, kind| targets(3, &depth, [4, 2], (to, mask), kind).expect("targets").to_vec();
+        let found = |to, mask, kind| targets(3, &depth, [4, 2], to, mask, kind).expect("targets").to_vec();
         let whole = [1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125, 0.0, 0.0078125];
         assert_eq!(found([4, 2], None, DepthKind::Metric), whole);
         assert_eq!(found([2, 1], None, DepthKind::Metric), [0.03125, 0.0078125]);
@@ -61,7 +62,7 @@ mod tests {
     #[test]
     fn unusable_depth_is_named() {
         let refused = |depth: &[f32]| {
-            let error = targets(3, depth, [2, 1], ([2, 1], None), DepthKind::Metric).expect_err("an error");
+            let error = targets(3, depth, [2, 1], [2, 1], None, DepthKind::Metric).expect_err("an error");
             error.to_string()
         };
         assert!(refused(&[1.0]).contains("depth of photo 3") && refused(&[1.0]).contains("2 x 1"));

@@ -62,7 +62,7 @@ impl Exposed {
         let Self { frames, targets, transforms, shape, .. } = self;
         let d_transforms = rec.tensor::<[f32; EXPOSURE_NUMBERS]>("d_transforms", shape.cameras);
         rec.scope("exposure", |rec| {
-            record_camera_sums(rec, shape, &[COLORS], (d_transforms, EXPOSURE_NUMBERS), |rec, part, sums| {
+            record_camera_sums(rec, shape, &[COLORS], d_transforms, EXPOSURE_NUMBERS, |rec, part, sums| {
                 let CameraPart { first, cameras, pixels, groups } = part;
                 let kernel = kernels::ExposureBackward {
                     frames: part.of(frames, COLORS),

@@ -98,12 +98,12 @@ impl Gaussians {
             penalty: penalties[i] / len as f32,
         };
         let fields = [0, 1, 2, 3, 4].map(field);
-        let update = update(arena, &memory, &fields)?;
+        let (update, schedule) = update(arena, &memory, &fields)?;
         values.write(&memory, &bounded(scene.clone()))?;
         let zero = first.into_iter().chain(second).map(|tensor| (tensor, 0.0));
         filling(arena, &memory, zero)?.execute()?;
         let begin = [0, 1, 2, 3, 4].map(|i| (fields[i].gradient, fields[i].penalty));
-        let gaussians = Self::of(arena, options, vec![memory], values, begin, update)?;
+        let gaussians = Self::of(arena, options, vec![memory], values, begin, update, schedule)?;
         Ok(Self { fields: fields.into(), ..gaussians })
     }
 
@@ -113,7 +113,8 @@ impl Gaussians {
         memories: Vec<Arc<Resident>>,
         scene: SceneTensors,
         gradients: [(Tensor, f32); 5],
-        (update, schedule): (Run, Tensor),
+        update: Run,
+        schedule: Tensor,
     ) -> Result<Self> {
         let d_scene = SceneTensors::of(gradients.map(|(tensor, _)| tensor), scene.len, scene.sh_degree);
         let clear = filling(arena, &memories[0], gradients.into_iter())?;

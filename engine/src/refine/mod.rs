@@ -157,10 +157,10 @@ pub fn refine_scene(
     let make = |arena: &Arena, options: &RefineOptions| {
         let grown = options.max_gaussians.map(|most| padded(scene, most));
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, options)?;
-        Ok((gaussians, (scene.clone(), scene_distance)))
+        Ok((gaussians, scene.clone(), scene_distance))
     };
     let hash = || Ok(hashed_scene(scene));
-    run(arena, (&make, &hash), Some(scene.len()), &photos, cameras, options, progress)
+    run(arena, Initial { make: &make, hash: &hash, len: Some(scene.len()) }, &photos, cameras, options, progress)
 }
 
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
@@ -183,10 +183,10 @@ pub fn refine_tokens(
     let make = |arena: &Arena, options: &RefineOptions| {
         let (gaussians, scene) = tokens::gaussians(arena, head, tokens, options)?;
         let scene_distance = distance(&scene, cameras);
-        Ok((gaussians, (scene, scene_distance)))
+        Ok((gaussians, scene, scene_distance))
     };
     let hash = || Ok(hashed(0, &tokens.resident().read::<f32>(tokens.tensor())?));
-    run(arena, (&make, &hash), None, &photos, cameras, options, progress)
+    run(arena, Initial { make: &make, hash: &hash, len: None }, &photos, cameras, options, progress)
 }
 
 fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
@@ -195,14 +195,20 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
     options.max_gaussians.map_or(Ok(()), |most| Err(refused(most)))
 }
 
-type Make<'a> = &'a dyn Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>;
+/// Creates Gaussians, with their scene and its distance.
+type Make<'a> = dyn Fn(&Arena, &RefineOptions) -> Result<(Gaussians, Scene, f64)> + 'a;
 
-/// `make` creates the Gaussians, `hash` identifies their initial values. `len` is their number if
-/// growing.
+struct Initial<'a> {
+    make: &'a Make<'a>,
+    /// Identifies the initial values.
+    hash: &'a dyn Fn() -> Result<u64>,
+    /// Number of Gaussians, if it can grow.
+    len: Option<usize>,
+}
+
 fn run(
     arena: &Arena,
-    (make, hash): (Make<'_>, &dyn Fn() -> Result<u64>),
-    len: Option<usize>,
+    Initial { make, hash, len }: Initial<'_>,
     photos: &dyn Photos,
     cameras: &[Camera],
     options: &RefineOptions,
@@ -221,8 +227,8 @@ fn run(
         PhotoCache::new(photos, options.max_image_size, options.coarse_to_fine, options.max_photo_bytes, depth)
     };
     let refinement = |cameras: &[Camera], options: RefineOptions, steps: usize, cached| {
-        let (gaussians, scene) = make(&arena, &options)?;
-        Refinement::new(gaussians, scene, cached, cameras, options, steps)
+        let (gaussians, scene, scene_distance) = make(&arena, &options)?;
+        Refinement::new(gaussians, scene, scene_distance, cached, cameras, options, steps)
     };
     let grow = |options: &RefineOptions, steps: usize| {
         len.and_then(|len| grown_len(options, steps, len, sizes(photos, options.max_image_size, 1)))

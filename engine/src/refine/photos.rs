@@ -188,7 +188,7 @@ impl<'a> PhotoCache<'a> {
             let size = self.size(i, factor);
             let image = resize_lanczos(&hidden, size[0], size[1])?;
             let depth = match &known {
-                Some((Some(depth), kind)) => Some(targets(i, depth, expected, (size, image.mask.as_deref()), *kind)?),
+                Some((Some(depth), kind)) => Some(targets(i, depth, expected, size, image.mask.as_deref(), *kind)?),
                 _ => None,
             };
             Ok(((i, factor), Photo { image: Arc::new(image), depth }))

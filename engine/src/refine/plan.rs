@@ -16,7 +16,6 @@ use crate::{
     stages::{
         Architecture,
         gaussians::Head,
-        lpips::Lpips,
         render::{FrameShape, Gradients, RenderOptions, SceneTensors, first_capacity, planned_capacity},
     },
 };
@@ -109,7 +108,9 @@ pub fn plan_refinement(
     kept_bytes += weights.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
     let lpips = weights.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(d_scene), cameras: None };
-    record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], (&options, masked))?;
+    let exposure = options.exposure == Exposure::On;
+    let training = Training { options: &options, gradients: &gradients, lpips, exposure, masked, depth: true };
+    record_steps(limits, &mut plans, &scene, [width, height], training)?;
     Ok(RefinePlan { kept_bytes, plans })
 }
 
@@ -117,11 +118,10 @@ fn record_steps(
     limits: &Limits,
     plans: &mut Vec<Plan>,
     scene: &SceneTensors,
-    gradients: &Gradients,
-    lpips: Option<&Lpips>,
     [width, height]: [u32; 2],
-    (options, masked): (&RefineOptions, bool),
+    training: Training<'_>,
 ) -> Result<()> {
+    let options = training.options;
     let photo_size = |factor| fitted([width, height], options.max_image_size, factor);
     let steps = options.length.most_steps();
     let schedule = Schedule { steps, coarse: options.coarse_to_fine };
@@ -136,8 +136,6 @@ fn record_steps(
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
-        let exposure = options.exposure == Exposure::On;
-        let training = Training { options, gradients, lpips, exposure, masked, depth: true };
         record_photos(&mut rec, scene, shape, capacity, &RenderOptions::default(), Some(training));
         plans.push(rec.finish()?);
     }

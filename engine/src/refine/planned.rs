@@ -60,6 +60,7 @@ pub(super) struct DepthTensors {
     value: Tensor,
 }
 
+#[derive(Clone, Copy)]
 pub(super) struct Training<'a> {
     pub options: &'a RefineOptions,
     pub gradients: &'a Gradients,

@@ -81,7 +81,8 @@ struct Kept {
 impl<'a> Refinement<'a> {
     pub fn new(
         mut gaussians: Gaussians,
-        (mut scene, scene_distance): (Scene, f64),
+        mut scene: Scene,
+        scene_distance: f64,
         mut photos: PhotoCache<'a>,
         cameras: &[Camera],
         options: RefineOptions,

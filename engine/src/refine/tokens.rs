@@ -85,9 +85,9 @@ pub(super) fn gaussians(
     gradients[3].1 = options.opacity_penalty / len as f32;
     record_fills(&mut rec, gradients.into_iter());
     let memories = vec![memory, weights.clone()];
-    let update = (Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
+    let update = Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?;
 
-    let mut gaussians = Gaussians::of(arena, options, memories, scene, gradients, update)?;
+    let mut gaussians = Gaussians::of(arena, options, memories, scene, gradients, update, schedule)?;
     gaussians.tokens = Some(([moved, first, second], forward));
     let scene = gaussians.scene()?;
     Ok((gaussians, scene))

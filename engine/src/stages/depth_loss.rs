@@ -38,7 +38,7 @@ impl DepthFrames {
         let colors = rec.tensor::<f32>("frame_colors", 3 * shape.pixels() * shape.cameras);
         let lines = rec.tensor::<[f32; TERMS]>("depth_lines", shape.cameras);
         rec.scope("depth_loss", |rec| {
-            record_camera_sums(rec, shape, &ALL, (lines, TERMS), |rec, part, sums| {
+            record_camera_sums(rec, shape, &ALL, lines, TERMS, |rec, part, sums| {
                 let CameraPart { cameras, pixels, groups, .. } = part;
                 let (frames, targets, colors) = (part.of(frames, CHANNELS), part.of(targets, 1), part.of(colors, 3));
                 let kernel =
@@ -56,7 +56,7 @@ impl DepthFrames {
         let value = rec.tensor::<f32>("depth_loss", shape.cameras);
         let d_frames = rec.tensor::<f32>("d_frames", CHANNELS * shape.pixels() * shape.cameras);
         rec.scope("depth_loss", |rec| {
-            record_camera_sums(rec, shape, &ALL, (value, 1), |rec, part, sums| {
+            record_camera_sums(rec, shape, &ALL, value, 1, |rec, part, sums| {
                 let CameraPart { first, cameras, pixels, groups } = part;
                 let kernel = DepthGradient {
                     frames: part.of(frames, CHANNELS),

@@ -18,11 +18,12 @@ pub struct Fuse {
 impl Fuse {
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.fusion_heads, a.width);
-        let (layers, ffn) = (0..a.out_layers.len(), (Ffn::Gelu, a.fusion_hidden));
+        let layers = 0..a.out_layers.len();
         let name = |kind: &str, layer: usize| format!("{kind}_attention.{layer}");
         let cross =
             layers.clone().map(|l| CrossBlock::new(p, &name("cross", l), heads, a.fusion_hidden, EPS)).collect();
-        let own = layers.map(|l| Block::new(p, &name("self", l), heads, true, ffn, EPS)).collect();
+        let own =
+            layers.map(|l| Block::new(p, &name("self", l), heads, true, Ffn::Gelu, a.fusion_hidden, EPS)).collect();
         Self { cross, own }
     }
 

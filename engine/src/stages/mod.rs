@@ -254,7 +254,8 @@ pub(crate) fn record_camera_sums(
     rec: &mut Recorder,
     shape: FrameShape,
     channels: &[usize],
-    (totals, width): (Tensor, usize),
+    totals: Tensor,
+    width: usize,
     record: impl Fn(&mut Recorder, CameraPart, Tensor),
 ) {
     for part in camera_parts(rec, shape, channels) {

@@ -247,7 +247,7 @@ fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderOptions) ->
 }
 
 /// In random directions of every field; rotations step by `turn`.
-fn hold_to_differences(name: &str, scene: &Scene, turn: f64, (request, drawing): (RenderOptions, Drawing)) {
+fn hold_to_differences(name: &str, scene: &Scene, turn: f64, request: RenderOptions, drawing: Drawing) {
     let cameras = &two_cameras();
     let weights = random_weights(scene, cameras, &request);
     let found = find(scene, cameras, &request, &weigh(&weights, &request));
@@ -290,8 +290,8 @@ fn equals_differences_at_every_degree_and_size() {
     for (degree, size) in [(0, 0.01), (1, 0.1), (2, 0.5), (3, 3.0)] {
         let mut scene = random_scene(150, degree, size);
         scene.opacities.iter_mut().step_by(5).for_each(|opacity| *opacity = 1.0); // clamps alphas
-        for (i, request) in requests().into_iter().enumerate() {
-            hold_to_differences(&format!("degree {degree}, request {i}"), &scene, 1e-7, request);
+        for (i, (request, drawing)) in requests().into_iter().enumerate() {
+            hold_to_differences(&format!("degree {degree}, request {i}"), &scene, 1e-7, request, drawing);
         }
     }
 }
@@ -307,8 +307,8 @@ fn equals_differences_of_needles_from_far_off_and_of_what_is_very_long() {
         scene.means[i] = [away * turn.cos(), away * turn.sin(), 2.0 + 0.05 * i as f32];
         scene.scales[i] = [[4.0, 20.0, 1e4, 1e8][i % 4], 0.02, 0.01];
     }
-    for (i, request) in requests().into_iter().enumerate() {
-        hold_to_differences(&format!("needles, request {i}"), &scene, 1e-8, request);
+    for (i, (request, drawing)) in requests().into_iter().enumerate() {
+        hold_to_differences(&format!("needles, request {i}"), &scene, 1e-8, request, drawing);
     }
 }
 

@@ -71,8 +71,8 @@ fn work_of_vggt_is_as_stated() {
     let limits = Limits::default();
     let network = Network::new(&architecture, &limits, Arithmetic::EXACT);
     for (views, side, stated) in [(24, 252, 21.0), (24, 518, 175.6), (192, 252, 510.9), (192, 518, 7391.0)] {
-        let chosen = (Ratio::Fixed(0.01), &TokenSelection::Stride);
-        let shape = Shape::new(&architecture, views, [side; 2], chosen, false).unwrap();
+        let shape =
+            Shape::new(&architecture, views, [side; 2], Ratio::Fixed(0.01), &TokenSelection::Stride, false).unwrap();
         let profile = Profile::outline(&network.plan(&limits, shape).unwrap().plan);
         let patches = views * (side as usize / 14).pow(2);
         // The decoder's layers on features are counted too.

@@ -66,5 +66,5 @@ fn impossible_sizes_of_vggt_are_refused() {
 }
 
 fn architecture_of_tiny() -> DepthArchitecture {
-    DepthArchitecture::vggt("tiny", 64, [1, 4], [0, 1, 2, 3], (8, [8, 8, 8, 8]))
+    DepthArchitecture::vggt("tiny", 64, [1, 4], [0, 1, 2, 3], 8, [8; 4])
 }

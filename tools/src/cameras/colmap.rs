@@ -169,7 +169,8 @@ impl Colmap {
         &self,
         step: Step,
         [folder, models]: [&Path; 2],
-        (pairs, side): (Matching, u32),
+        pairs: Matching,
+        side: u32,
         stage: &Stage<'_>,
     ) -> Result<Command> {
         let mut command = Command::new(&self.program);

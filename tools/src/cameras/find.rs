@@ -231,7 +231,7 @@ impl<'a> Search<'a> {
         };
         let (log, output) = (&mut self.log, &mut self.output);
         let (status, took) = session.stage(step.name(), |stage| {
-            let mut command = self.colmap.command(step, folders, (self.pairs, self.side), stage)?;
+            let mut command = self.colmap.command(step, folders, self.pairs, self.side, stage)?;
             process::run(&mut command, stage, |line| {
                 log.write(line)?;
                 output.hear(line, photos).map_or(Ok(()), |far| stage.reach(far))

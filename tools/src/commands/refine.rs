@@ -1,7 +1,6 @@
 use crate::{
     cameras::{Finding, KnownCameras, Similarity, to_scene},
     explain::Explanation,
-    known_depth::KnownDepth,
     options::SceneInput,
     outputs::{self, Overwrite},
     panorama,
@@ -17,8 +16,8 @@ use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
-    gpu::{Arena, Device},
-    refine::{RefineCheckpoint, RefineOptions, RefineResult, StopReason},
+    gpu::Arena,
+    refine::{RefineOptions, RefineResult, StopReason},
     types::{
         Camera, SaveOptions, Scene, World,
         poses::{Capture, CaptureView, read_cloud},
@@ -110,14 +109,22 @@ impl Refine {
         drop(found);
         let device = session.device()?;
         let unit = 1.0 / started.to_scene.scale;
-        let known = self.settings.known_depth(session, (&photos, &frames), &started.cameras, unit)?;
+        let known = self.settings.known_depth(session, &photos, &frames, &started.cameras, unit)?;
         let checkpoint = || refinement::checkpoint(&self.output, &photos, masks.as_ref(), known.as_ref());
         // A rerun would refine the result.
         let is_in_place = scene.is_some_and(|scene| scene.canonicalize().ok() == self.output.canonicalize().ok());
         let is_repeatable = refinement::has_stable_cameras(&self.cameras) && !is_in_place;
         let checkpoint = is_repeatable.then(checkpoint).transpose()?;
-        let files = (PhotoFiles::new(&photos, &frames, masks)?, known.as_ref());
-        let (refined, request) = self.refine(session, &device, &started, (files, &photos, checkpoint))?;
+        let files = PhotoFiles::new(&photos, &frames, masks)?;
+        let kind = known.as_ref().map(|known| known.kind);
+        let request = RefineOptions {
+            views_per_step: self.views_per_step,
+            profile: self.explain,
+            checkpoint,
+            ..self.settings.request(self.steps, self.input.antialiasing, kind, &photos)
+        };
+        let (arena, from) = (Arena::new(&device), Refinable::Scene(&started.scene));
+        let refined = refinement::refine(session, &arena, from, files, known.as_ref(), &started.cameras, &request)?;
         let options = SaveOptions::default();
         let notes = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         session.notes(notes);
@@ -175,23 +182,6 @@ impl Refine {
         Ok(Started { scene, cameras, world, to_scene })
     }
 
-    fn refine(
-        &self,
-        session: &mut Session<'_>,
-        device: &Device,
-        started: &Started,
-        (photos, paths, checkpoint): ((PhotoFiles<'_>, Option<&KnownDepth>), &[PathBuf], Option<RefineCheckpoint>),
-    ) -> Result<(RefineResult, RefineOptions)> {
-        let request = RefineOptions {
-            views_per_step: self.views_per_step,
-            profile: self.explain,
-            checkpoint,
-            ..self.settings.request(self.steps, self.input.antialiasing, photos.1.map(|known| known.kind), paths)
-        };
-        let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
-        Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))
-    }
-
     fn report(
         &self,
         session: &mut Session<'_>,
@@ -216,10 +206,8 @@ impl Refine {
         );
         if let Some(profile) = &refined.profile {
             let explanation = Explanation::of_kernels(profile, Vec::new());
-            text += &format!(
-                "\n{explanation}\n{}",
-                refinement::explain(&refined, (request, &self.settings), start, photos)
-            );
+            text +=
+                &format!("\n{explanation}\n{}", refinement::explain(&refined, request, &self.settings, start, photos));
             json["explain"] = json!(explanation);
         }
         session.report(&json, text)

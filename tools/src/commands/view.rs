@@ -166,14 +166,13 @@ impl View {
         if !self.from.refines() {
             self.input.antialiasing.refuse("photos without --refine", "a scene's file, or with --refine")?;
         }
-        let photos = (&self.files[..], self.cameras.as_deref());
         let checkpoint = match self.from.weights.open_network()? {
             Network::Tokens(checkpoint) => checkpoint,
-            Network::Pixels(checkpoint) => return self.show_pixels(session, &checkpoint, photos),
+            Network::Pixels(checkpoint) => return self.show_pixels(session, &checkpoint),
         };
         let every = self.output.is_none() && !self.from.ratios.is_empty();
         refuse("--ratios", every, "a page that is served, whose slider has every ratio", "a page that is written")?;
-        let mut ready = self.from.prepare(session, checkpoint, photos)?;
+        let mut ready = self.from.prepare(session, checkpoint, &self.files, self.cameras.as_deref())?;
         let watched = self.from.watched(session, &ready, self.input.antialiasing)?;
         let (grid, cameras) = (ready.live.grid(), std::mem::take(&mut ready.cameras));
         let mut config = Config {
@@ -193,13 +192,8 @@ impl View {
         }
     }
 
-    fn show_pixels(
-        &self,
-        session: &mut Session<'_>,
-        checkpoint: &DepthCheckpoint,
-        photos: (&[PathBuf], Option<&Path>),
-    ) -> Result<()> {
-        let mut made = self.from.of_pixels(session, checkpoint, photos)?;
+    fn show_pixels(&self, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<()> {
+        let mut made = self.from.of_pixels(session, checkpoint, &self.files, self.cameras.as_deref())?;
         let cameras = std::mem::take(&mut made.cameras);
         let (mut shown, scenes): (Vec<_>, Vec<_>) = std::mem::take(&mut made.scenes).into_iter().unzip();
         let note = format!("Made before the page was: {}; --ratios says which.", counted(scenes.len(), "ratio"));

@@ -84,7 +84,8 @@ pub fn refine(
     session: &mut Session<'_>,
     arena: &Arena,
     from: Refinable<'_>,
-    (photos, depth): (impl Photos, Option<&KnownDepth>),
+    photos: impl Photos,
+    depth: Option<&KnownDepth>,
     cameras: &[Camera],
     request: &RefineOptions,
 ) -> Result<RefineResult> {

@@ -194,12 +194,13 @@ impl RefineSettings {
     pub fn known_depth(
         &self,
         session: &mut Session<'_>,
-        photos: (&[PathBuf], &[&CaptureView]),
+        photos: &[PathBuf],
+        frames: &[&CaptureView],
         cameras: &[Camera],
         unit: f64,
     ) -> Result<Option<KnownDepth>> {
         let source = self.depth_loss.as_deref();
-        source.map(|source| KnownDepth::open(session, source, photos, cameras, unit)).transpose()
+        source.map(|source| KnownDepth::open(session, source, photos, frames, cameras, unit)).transpose()
     }
 
     /// Settings of a plan: the kind of depth does not matter.

@@ -54,7 +54,8 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
 
 pub fn explain(
     refined: &RefineResult,
-    (request, settings): (&RefineOptions, &RefineSettings),
+    request: &RefineOptions,
+    settings: &RefineSettings,
     start: &str,
     photos: &[PathBuf],
 ) -> Table {

@@ -182,7 +182,8 @@ impl<'a> Session<'a> {
     pub fn reconstruct(
         &self,
         model: &Model,
-        (images, blocks): (&[Image], &[Block]),
+        images: &[Image],
+        blocks: &[Block],
         request: &ReconstructOptions,
         tokens: bool,
     ) -> Result<((Reconstruction, Option<SceneTokens>), Duration)> {

@@ -28,7 +28,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, Shape},
+    reconstruct::{MAX_VIEWS, Ratio},
     refine::RefineOptions,
     types::{
         Camera, PointCloud, Pose,
@@ -88,7 +88,7 @@ impl FromPhotos {
         poses: Option<&Path>,
     ) -> Result<Photographed> {
         let unposed = poses.is_none_or(KnownCameras::to_find).then_some(&self.finding.search.masks);
-        let (photos, folder) = self.reading.list(session, (paths, self.views), unposed, None)?;
+        let (photos, folder) = self.reading.list(session, paths, self.views, unposed, None)?;
         let mut known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
         let views = self.views.filter(|_| unposed.is_none());
         let photos = photos::kept(session, photos, known.as_mut(), views)?;
@@ -120,7 +120,8 @@ impl FromPhotos {
         &'a self,
         session: &mut Session<'s>,
         checkpoint: Checkpoint,
-        (paths, poses): (&[PathBuf], Option<&Path>),
+        paths: &[PathBuf],
+        poses: Option<&Path>,
     ) -> Result<Ready<'a>> {
         let cancelled = session.cancelled();
         self.refine.check()?;
@@ -133,8 +134,7 @@ impl FromPhotos {
         session.notes(self.quality.doubt_size(&checkpoint));
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let count = crop.count(&photos, &frames)?;
-        let chosen = (self.quality.ratio, &self.quality.token_selection);
-        Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?;
+        self.quality.shape(checkpoint.architecture(), count, size, poses.is_some())?;
         let masks = self.finding.masks();
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
@@ -232,7 +232,7 @@ impl FromPhotos {
             )
         };
         let settings = &self.refine.settings;
-        let known = settings.known_depth(session, (&ready.photos, &frames), &cameras, 1.0)?;
+        let known = settings.known_depth(session, &ready.photos, &frames, &cameras, 1.0)?;
         let request = settings.request(steps, antialiasing, known.as_ref().map(|known| known.kind), &ready.photos);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));

@@ -28,7 +28,8 @@ impl FromPhotos {
         &self,
         session: &mut Session<'_>,
         checkpoint: &DepthCheckpoint,
-        (paths, poses): (&[PathBuf], Option<&Path>),
+        paths: &[PathBuf],
+        poses: Option<&Path>,
     ) -> Result<OfPixels> {
         for (option, given) in [
             ("--crop tiles", self.crop.crop == Crop::Tiles),

@@ -53,7 +53,8 @@ pub struct CaptureView {
 impl CaptureView {
     /// Returns a frame for each view of the lens, or for one.
     fn of_lens(
-        (name, photo): (String, Option<PathBuf>),
+        name: String,
+        photo: Option<PathBuf>,
         lens: Lens,
         pose: Pose,
         view: Option<usize>,

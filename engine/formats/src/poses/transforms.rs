@@ -37,10 +37,9 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Capture> {
             poses.sizeless.push(folder.join(name));
             continue;
         };
-        let named = (name.to_owned(), photo);
         let (lens, pose) = (fields.lens(width, height)?, fields.pose()?);
         let view = if lens.view_count() > 1 { fields.view()? } else { None };
-        poses.frames.extend(CaptureView::of_lens(named, lens, pose, view, &fields.label)?);
+        poses.frames.extend(CaptureView::of_lens(name.to_owned(), photo, lens, pose, view, &fields.label)?);
     }
     if let Some(place) = poses.sizeless.first() {
         let why = format!("no w and h, and no photo to take them from, such as {}", place.display());

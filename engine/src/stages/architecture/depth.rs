@@ -36,7 +36,8 @@ impl DepthArchitecture {
         [width, depth, alt_start]: [usize; 3],
         ffn: Ffn,
         out_layers: [usize; 4],
-        (features, channels): (usize, [usize; 4]),
+        features: usize,
+        channels: [usize; 4],
     ) -> Self {
         let gated = (4 * width * 2 / 3).next_multiple_of(8);
         let camera = CameraArchitecture {
@@ -73,10 +74,11 @@ impl DepthArchitecture {
         width: usize,
         [embedding, pairs]: [usize; 2],
         out_pairs: [usize; 4],
-        maps: (usize, [usize; 4]),
+        features: usize,
+        channels: [usize; 4],
     ) -> Self {
         let (depth, out_layers) = vggt_blocks([embedding, pairs], &out_pairs);
-        let like = Self::new(name, [width, depth, embedding], Ffn::Gelu, out_pairs, maps);
+        let like = Self::new(name, [width, depth, embedding], Ffn::Gelu, out_pairs, features, channels);
         let (family, root, final_eps, camera) = (Family::Vggt, "aggregator".into(), 1e-5, None);
         let backbone = BackboneArchitecture { family, root, out_layers, final_eps, camera, ..like.backbone };
         let (depth, heads, hidden, pose_hidden) = (4, 16, 8 * width, width);
@@ -86,17 +88,19 @@ impl DepthArchitecture {
 
     /// Returns one of [`DEPTH_MODELS`], else [`Error::Argument`].
     pub fn named(name: &str) -> Result<Self> {
-        let large = (256, [256, 512, 1024, 1024]);
+        let large = [256, 512, 1024, 1024];
         Ok(match name {
-            "da3-small" => Self::new(name, [384, 12, 4], Ffn::Gelu, [5, 7, 9, 11], (64, [48, 96, 192, 384])),
-            "da3-base" => Self::new(name, [768, 12, 4], Ffn::Gelu, [5, 7, 9, 11], (128, [96, 192, 384, 768])),
-            "da3-large" => Self::new(name, [1024, 24, 8], Ffn::Gelu, [11, 15, 19, 23], large),
+            "da3-small" => Self::new(name, [384, 12, 4], Ffn::Gelu, [5, 7, 9, 11], 64, [48, 96, 192, 384]),
+            "da3-base" => Self::new(name, [768, 12, 4], Ffn::Gelu, [5, 7, 9, 11], 128, [96, 192, 384, 768]),
+            "da3-large" => Self::new(name, [1024, 24, 8], Ffn::Gelu, [11, 15, 19, 23], 256, large),
             "da3-giant" => {
-                let giant = Self::new(name, [1536, 40, 13], Ffn::SwiGlu, [19, 27, 33, 39], large);
+                let giant = Self::new(name, [1536, 40, 13], Ffn::SwiGlu, [19, 27, 33, 39], 256, large);
                 Self { gaussians: true, ..giant }
             }
-            "da3mono-large" | "da3metric-large" => Self::new(name, [1024, 24, 24], Ffn::Gelu, [4, 11, 17, 23], large),
-            "vggt-1b" => Self::vggt(name, 1024, [24, 24], [4, 11, 17, 23], large),
+            "da3mono-large" | "da3metric-large" => {
+                Self::new(name, [1024, 24, 24], Ffn::Gelu, [4, 11, 17, 23], 256, large)
+            }
+            "vggt-1b" => Self::vggt(name, 1024, [24, 24], [4, 11, 17, 23], 256, large),
             _ => return Err(Error::argument("depth network", name, format!("one of {}", DEPTH_MODELS.join(", ")))),
         })
     }

@@ -1,4 +1,4 @@
-use super::transformer::{OutLayer, Transformer};
+use super::transformer::{OutLayer, Transformer, Views};
 use crate::{
     Result,
     gpu::{Element, Recorder, Run, Tensor},
@@ -31,7 +31,8 @@ impl DepthBackbone {
         reference: Reference,
     ) -> DepthFeatures {
         let (mut layers, mut last) = (Vec::new(), None);
-        self.transformer.record(rec, images, inputs, (grid, reference, KvPool::ALL), |rec, layer, out| {
+        let views = Views { grid, reference, pool: KvPool::ALL };
+        self.transformer.record(rec, images, inputs, views, |rec, layer, out| {
             layers.push(self.feature(rec, layer, out, grid));
             last = Some(out);
         });

@@ -1,4 +1,7 @@
-use super::{features::Features, transformer::Transformer};
+use super::{
+    features::Features,
+    transformer::{Transformer, Views},
+};
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
@@ -34,8 +37,8 @@ impl TokenBackbone {
     ) -> Vec<Rows> {
         let (layers, final_norm) = (self.features.layers(), self.transformer.final_norm);
         let mut prepared = Vec::new();
-        let asked = (grid, Reference::View(0), pool);
-        self.transformer.record(rec, images, inputs, asked, |rec, layer, out| {
+        let views = Views { grid, reference: Reference::View(0), pool };
+        self.transformer.record(rec, images, inputs, views, |rec, layer, out| {
             prepared.push(self.features.record(rec, layers - 1 - layer, out, final_norm, grid));
         });
         prepared.reverse();

@@ -36,7 +36,8 @@ pub(super) trait SpecialTokens: Send + Sync {
         rec: &mut Recorder,
         x: Rows,
         inputs: &[Tensor],
-        reference: (Reference, Option<Tensor>),
+        reference: Reference,
+        chosen: Option<Tensor>,
         grid: ViewGrid,
     ) -> Rows;
 
@@ -57,7 +58,8 @@ pub(super) trait SpecialTokens: Send + Sync {
 pub(super) fn place_tokens(
     rec: &mut Recorder,
     patches: Rows,
-    (special, leading): (Tensor, usize),
+    special: Tensor,
+    leading: usize,
     [kinds, reference]: [usize; 2],
     positions: Option<Tensor>,
     grid: ViewGrid,
@@ -89,13 +91,20 @@ pub(super) struct OutLayer {
     pub leading: usize,
 }
 
+#[derive(Clone, Copy)]
+pub(super) struct Views {
+    pub grid: ViewGrid,
+    pub reference: Reference,
+    pub pool: KvPool,
+}
+
 impl Transformer {
     pub fn record(
         &self,
         rec: &mut Recorder,
         images: Tensor,
         inputs: &[Tensor],
-        (grid, reference, pool): (ViewGrid, Reference, KvPool),
+        Views { grid, reference, pool }: Views,
         mut out: impl FnMut(&mut Recorder, usize, OutLayer),
     ) {
         let (a, leading) = (&self.architecture, self.special.leading());
@@ -111,7 +120,7 @@ impl Transformer {
                 chosen = self.special.choose(rec, x, inputs, grid);
             }
             if i == a.alt_start {
-                x = self.special.joined(rec, x, inputs, (reference, chosen), grid);
+                x = self.special.joined(rec, x, inputs, reference, chosen, grid);
                 rec.observe("bb/alt_in", x.tensor);
             }
             let global = a.is_global(i);

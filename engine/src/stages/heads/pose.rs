@@ -33,7 +33,7 @@ impl PoseHead {
         let root = &a.root;
         let heads = Heads::new(a.heads, width);
         let block = |p: &mut ParameterLayout, i| {
-            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.hidden), EPS)
+            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, Ffn::Gelu, a.hidden, EPS)
         };
         p.exactly(|p| Self {
             empty: p.host(&format!("{root}.empty_pose_tokens"), &[1, 1, POSE_ENCODING]),

@@ -77,12 +77,12 @@ impl Lpips {
         rec.scope("lpips", |rec| {
             let value = rec.tensor::<f32>("lpips", 1);
             let layers = rec.tensor::<f32>("layers", TAPS);
-            let mut stages = vec![of.pictures.map(|picture| of.normalize(rec, picture))];
+            let mut stages = vec![of.pictures.map(|(source, channels)| of.normalize(rec, source, channels))];
             let mut taps = 0..TAPS;
             for (i, layer) in self.layers.iter().enumerate() {
                 stages.push(stages[i].map(|features| layer.forward(rec, features, i > 0)));
                 if let (Some(weights), None) = (layer.tap, gradient) {
-                    compare(rec, stages[i + 1], weights, tap_of(layers, taps.next()), None);
+                    compare(rec, stages[i + 1], weights, layers, number(taps.next()), None);
                 }
             }
             if let Some((weight, d_picture)) = gradient {
@@ -102,7 +102,7 @@ impl Lpips {
             if let Some(weights) = layer.tap {
                 let into = d.unwrap_or_else(|| FeatureMap::scratch(rec, "d_features", after.size(), after.channels()));
                 let add = d.is_some();
-                compare(rec, stages[1], weights, tap_of(layers, taps.next()), Some((into.rows, add)));
+                compare(rec, stages[1], weights, layers, number(taps.next()), Some((into.rows, add)));
                 d = Some(into);
             }
             d = Some(layer.backward(rec, d.expect("the last layer has a tap"), after, before));
@@ -111,15 +111,16 @@ impl Lpips {
     }
 }
 
-fn tap_of(layers: Tensor, tap: Option<usize>) -> (Tensor, u32) {
-    (layers, tap.expect("no more layers than TAPS have taps") as u32)
+fn number(tap: Option<usize>) -> u32 {
+    tap.expect("no more layers than TAPS have taps") as u32
 }
 
 fn compare(
     rec: &mut Recorder,
     [a, b]: [FeatureMap; 2],
     weights: Tensor,
-    (layers, tap): (Tensor, u32),
+    layers: Tensor,
+    tap: u32,
     gradient: Option<(Rows, bool)>,
 ) {
     let (count, channels) = (a.rows.count, a.channels());
@@ -145,7 +146,7 @@ fn compare(
 }
 
 impl LpipsPictures {
-    fn normalize(&self, rec: &mut Recorder, (source, channels): (Tensor, usize)) -> FeatureMap {
+    fn normalize(&self, rec: &mut Recorder, source: Tensor, channels: usize) -> FeatureMap {
         let out = FeatureMap::scratch(rec, "normalized", self.size, 3);
         for part in row_chunks(rec, out.rows.count, &[4 * channels, 12]) {
             let kernel = kernels::Normalize {

@@ -134,7 +134,7 @@ impl Differentiator {
         let shape = FrameShape::of(camera);
         let key = PlanKey { shape, backward: true, options: (*options, wanted) };
         let memory = self.memory.as_ref().expect("loaded before");
-        let record = |capacity| GradientPlan::new(&self.arena, memory, shape, key.options, capacity);
+        let record = |capacity| GradientPlan::new(&self.arena, memory, shape, *options, wanted, capacity);
         // Plans that overflow accumulate nothing.
         let plan = self.plans.run(key, record, |plan| {
             plan.run.write(plan.cameras, &[camera_rows(camera)])?;
@@ -157,7 +157,8 @@ impl GradientPlan {
         arena: &Arena,
         memory: &Memory,
         shape: FrameShape,
-        (options, wanted): (RenderOptions, Wanted),
+        options: RenderOptions,
+        wanted: Wanted,
         capacity: usize,
     ) -> Result<Self> {
         let Memory { resident, scene, .. } = memory;

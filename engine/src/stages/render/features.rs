@@ -1,6 +1,11 @@
 //! Values of any channels, lifted to Gaussians or tokens and drawn.
 
-use super::{FrameShape, RenderOptions, SceneTensors, backward::slot_starts, intersect, project};
+use super::{
+    FrameShape, RenderOptions, SceneTensors,
+    backward::slot_starts,
+    intersect::{self, TileLists},
+    project::{self, Splats},
+};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{
@@ -16,30 +21,44 @@ pub(crate) const VECTOR: usize = 4;
 pub(crate) const VECTORS_AT_ONCE: usize = 4;
 const GPU_PIXELS: u32 = 64;
 
-/// Rows of values of consecutive Gaussians.
 #[derive(Clone, Copy)]
-pub(crate) struct FeatureRows {
-    pub count: usize,
-    pub group: usize,
+pub(crate) struct FeatureFrame<'a> {
+    pub scene: &'a SceneTensors,
+    pub camera: Tensor,
+    pub shape: FrameShape,
+    pub options: &'a RenderOptions,
+    pub capacity: usize,
 }
 
-/// Records the lifting of one camera's values, `[cells y, cells x, vectors, 4]`. Accumulates sums
-/// of weighted values, `[rows, vectors, 4]`, and of weights, `[rows]`. Returns
+#[derive(Clone, Copy)]
+pub(crate) struct Lifting {
+    /// `[cells y, cells x, vectors, 4]`.
+    pub values: Tensor,
+    pub cells: [u32; 2],
+    pub vectors: usize,
+    /// Consecutive Gaussians of a row.
+    pub group: usize,
+    /// `[rows, vectors, 4]`: accumulated sums of weighted values.
+    pub lifted: Tensor,
+    /// `[rows]`: accumulated weights.
+    pub totals: Tensor,
+}
+
+impl FeatureFrame<'_> {
+    fn record(&self, rec: &mut Recorder) -> (Splats, TileLists) {
+        let splats = project::record(rec, self.scene, self.camera, self.shape, self.options);
+        let lists = intersect::record(rec, &splats, self.shape, self.capacity);
+        (splats, lists)
+    }
+}
+
+/// Records the lifting of a camera's values. Returns
 /// [`RenderOutputs::status`](super::RenderOutputs::status); exceeded capacity accumulates nothing.
-#[expect(clippy::too_many_arguments)]
-pub(crate) fn record_lift(
-    rec: &mut Recorder,
-    scene: &SceneTensors,
-    camera: Tensor,
-    shape: FrameShape,
-    options: &RenderOptions,
-    capacity: usize,
-    (values, cells, vectors): (Tensor, [u32; 2], usize),
-    (rows, lifted, row_totals): (FeatureRows, Tensor, Tensor),
-) -> Tensor {
+pub(crate) fn record_lift(rec: &mut Recorder, frame: FeatureFrame<'_>, lifting: Lifting) -> Tensor {
+    let FeatureFrame { scene, shape, capacity, .. } = frame;
+    let Lifting { values, cells, vectors, group, lifted, totals: row_totals } = lifting;
     rec.scope("lift", |rec| {
-        let splats = project::record(rec, scene, camera, shape, options);
-        let lists = intersect::record(rec, &splats, shape, capacity);
+        let (splats, lists) = frame.record(rec);
         let slots = slot_starts(rec, &splats);
         let sums = rec.tensor::<[f32; VECTOR]>("sums", capacity * vectors);
         let totals = rec.tensor::<f32>("totals", capacity);
@@ -65,6 +84,7 @@ pub(crate) fn record_lift(
         let [x, y] = shape.grid();
         let flops = 2 * (capacity * VECTOR * vectors) as u64 * u64::from(TILE * TILE);
         rec.dispatch_groups(kernel, [x, y, (vectors as u32).div_ceil(lanes)]).flops(flops);
+        let rows = scene.len.div_ceil(group);
         let kernel = Gather {
             slots,
             status: lists.status,
@@ -73,30 +93,27 @@ pub(crate) fn record_lift(
             lifted,
             row_totals,
             gaussians: scene.len as u32,
-            group: rows.group as u32,
-            rows: rows.count as u32,
+            group: group as u32,
+            rows: rows as u32,
             vectors: vectors as u32,
         };
-        rec.dispatch(kernel, rows.count * vectors);
+        rec.dispatch(kernel, rows * vectors);
         rec.output(lists.status);
         lists.status
     })
 }
 
-/// Records pictures of one camera, a tensor `[height, width, VECTORS_AT_ONCE, 4]` for each of
+/// Records pictures, a tensor `[height, width, VECTORS_AT_ONCE, 4]` for each of
 /// `features`, `[rows, VECTORS_AT_ONCE, 4]`. Returns them and the status.
 pub(crate) fn record_pictures(
     rec: &mut Recorder,
-    scene: &SceneTensors,
-    camera: Tensor,
-    shape: FrameShape,
-    options: &RenderOptions,
-    capacity: usize,
-    (features, group): (&[Tensor], usize),
+    frame: FeatureFrame<'_>,
+    features: &[Tensor],
+    group: usize,
 ) -> (Vec<Tensor>, Tensor) {
+    let FeatureFrame { shape, capacity, .. } = frame;
     rec.scope("features", |rec| {
-        let splats = project::record(rec, scene, camera, shape, options);
-        let lists = intersect::record(rec, &splats, shape, capacity);
+        let (splats, lists) = frame.record(rec);
         let lanes = rec.limits().subgroup_size;
         let runs = if rec.limits().cpu { TILE * TILE / lanes } else { (GPU_PIXELS / lanes).max(1) };
         let [x, y] = shape.grid();

@@ -30,7 +30,7 @@ use project::Splats;
 pub use super::{FrameShape, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, SplatGradients, record_with_gradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
-pub(crate) use features::{FeatureRows, VECTOR, VECTORS_AT_ONCE, record_lift, record_pictures};
+pub(crate) use features::{FeatureFrame, Lifting, VECTOR, VECTORS_AT_ONCE, record_lift, record_pictures};
 pub use frame::{Depth, RenderOptions, RenderOutput};
 pub use pack::PixelLayout;
 pub use plan_cache::first_capacity;

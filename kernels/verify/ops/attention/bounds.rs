@@ -53,7 +53,7 @@ struct Channel {
 }
 
 impl Problem {
-    pub fn scores(&self, mode: Mode, (query, head): (&[f64], usize), keys: &Keys) -> Row {
+    pub fn scores(&self, mode: Mode, query: &[f64], head: usize, keys: &Keys) -> Row {
         let factors = mode.factors();
         let scale = 1.0 / (self.dim as f64).sqrt();
         // Scaled queries are rounded again, unless the scale is a power of two.

@@ -23,7 +23,7 @@ impl Keys {
             None => Self { k, v, pooled: None },
             Some(pool) => {
                 let width = problem.width();
-                let seen = |x: &[f64]| means(pool, x, width, (mode, view));
+                let seen = |x: &[f64]| means(pool, x, width, mode, view);
                 let ((k, counts, k_off), (v, _, v_off)) = (seen(&k), seen(&v));
                 Self { k, v, pooled: Some(Pooled { counts, off: [k_off, v_off] }) }
             }
@@ -54,7 +54,7 @@ impl Keys {
 }
 
 /// Bounds a sum, a division and 16-bit storage, where f16 may round either way.
-fn means(pool: Pool, x: &[f64], width: usize, (mode, view): (Mode, usize)) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+fn means(pool: Pool, x: &[f64], width: usize, mode: Mode, view: usize) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
     let (means, counts) = pool.seen(x, width, view);
     let sizes = pool.seen(&x.iter().map(|x| x.abs()).collect::<Vec<_>>(), width, view).0;
     let (unit, tiny) = match mode.factor {

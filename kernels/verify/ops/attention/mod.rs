@@ -92,9 +92,8 @@ impl Problem {
         let (q, keys) = (Self::held(&self.q, mode), Keys::new(self, mode, view));
         let counts: Vec<f64> = (0..self.keys()).map(|key| keys.count(key)).collect();
         let values = attention_to_means(&q, [&keys.k, &keys.v], &counts, self.heads, self.dim);
-        let at = |i: usize| (&q[i * self.dim..][..self.dim], i % self.heads);
-        let rows: Vec<Row> =
-            (0..self.queries() * self.heads).into_par_iter().map(|i| self.scores(mode, at(i), &keys)).collect();
+        let scores = |i: usize| self.scores(mode, &q[i * self.dim..][..self.dim], i % self.heads, &keys);
+        let rows: Vec<Row> = (0..self.queries() * self.heads).into_par_iter().map(scores).collect();
         let bounds = rows.par_iter().zip(values.par_chunks(self.dim)).enumerate();
         let bounds =
             bounds.flat_map_iter(|(i, (row, out))| self.bounds(mode, row, i % self.heads, &keys, out)).collect();
@@ -143,7 +142,7 @@ impl case::Problem for Problem {
             }
             if let Some(pool) = self.pool.filter(|_| part.scale == 0.0) {
                 let out = [tensor, tensors[3]];
-                shape.split_common(&mut trial.rec, input.columns(0, width), (pool, 0), part, out);
+                shape.split_common(&mut trial.rec, input.columns(0, width), pool, 0, part, out);
             }
         }
         let out = shape.record(&mut trial.rec, tensors).tensor;

@@ -92,7 +92,7 @@ impl Depth {
             self.input_size.iter().flat_map(|&size| self.views.iter().map(move |&views| (views, size))).collect();
         let shapes = cases.iter().map(|&(views, Size(width, height))| {
             let all = DepthOptions::default();
-            model.network().shape(views, [width, height], (all.ratio, &all.token_selection), false, None)
+            model.network().shape(views, [width, height], all.ratio, &all.token_selection, false, None)
         });
         shapes.collect::<Result<Vec<_>>>()?;
         let measure_peak = |stage: &Stage<'_>| peak::of_products(&device, arithmetic, peak::BRIEFLY, stage);

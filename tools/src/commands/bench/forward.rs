@@ -81,8 +81,8 @@ impl Forward {
             for &ratio in &self.ratio {
                 for &pool in &self.kv_pool {
                     let request = ReconstructOptions { ratio, kv_pool: pool, ..ReconstructOptions::default() };
-                    let chosen = (ratio, &request.token_selection);
-                    Shape::new(checkpoint.architecture(), views, [width, height], chosen, false)?;
+                    let (architecture, selection) = (checkpoint.architecture(), &request.token_selection);
+                    Shape::new(architecture, views, [width, height], ratio, selection, false)?;
                     requests.push((views, request));
                 }
             }

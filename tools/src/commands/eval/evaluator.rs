@@ -165,7 +165,7 @@ impl<'a> Evaluator<'a> {
             reconstruction.started = init.name();
             let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
             let arena = Arena::new(&self.device);
-            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), (choice, capture), steps)?;
+            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), choice, capture, steps)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
         }
         self.renderer.set_scene(&reconstruction.scene)?;
@@ -189,7 +189,7 @@ impl<'a> Evaluator<'a> {
         let mut request = quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
         let blocks = eval.blocks.choose(model, images.len(), self.seeing.size, &mut request, |_, _| Ok(1.0))?;
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
-        let ((result, tokens), took) = session.reconstruct(model, (images, &blocks), &request, of_tokens)?;
+        let ((result, tokens), took) = session.reconstruct(model, images, &blocks, &request, of_tokens)?;
         let mut scene = result.to_scene()?;
         quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
@@ -197,7 +197,7 @@ impl<'a> Evaluator<'a> {
         let refined = match (eval.refine.steps(), &tokens) {
             (Some(steps), Some(tokens)) => {
                 let head = FrozenHead::load(&self.device, checkpoint)?;
-                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), (choice, capture), steps)?)
+                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), choice, capture, steps)?)
             }
             (Some(steps), None) => {
                 let cloud = choice.points(&capture.scene_scale)?;
@@ -205,7 +205,7 @@ impl<'a> Evaluator<'a> {
                     Initialization::or_best(eval.refine.settings.init, cloud.as_ref(), eval.weights.is_builtin());
                 started = init.name();
                 let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
-                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), (choice, capture), steps)?)
+                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), choice, capture, steps)?)
             }
             (None, _) => None,
         };
@@ -247,12 +247,13 @@ fn refine(
     session: &mut Session<'_>,
     arena: &Arena,
     from: Refinable<'_>,
-    (choice, capture): (&Choice, &ViewSplit),
+    choice: &Choice,
+    capture: &ViewSplit,
     steps: RefineTask,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
     let (settings, files, frames) = (&eval.refine.settings, choice.inputs(), choice.input_frames());
-    let known = settings.known_depth(session, (&files, &frames), &cameras, capture.scene_scale.length)?;
+    let known = settings.known_depth(session, &files, &frames, &cameras, capture.scene_scale.length)?;
     let kind = known.as_ref().map(|known| known.kind);
     let mut request = settings.request(steps, eval.external.input.antialiasing, kind, &files);
     if eval.series.protocol.is_some() && steps.tokens {
@@ -261,7 +262,7 @@ fn refine(
     }
     let mut best: Option<RefineResult> = None;
     loop {
-        let refined = refinement::refine(session, arena, from, (&photos, known.as_ref()), &cameras, &request)?;
+        let refined = refinement::refine(session, arena, from, &photos, known.as_ref(), &cameras, &request)?;
         let gain = best.as_ref().map_or(f64::INFINITY, |best| refined.training_psnr[0] - best.training_psnr[0]);
         match (&refined.stop_reason, &mut request.length) {
             (Some(StopReason::Cancelled), _) => return Err(Error::Cancelled),

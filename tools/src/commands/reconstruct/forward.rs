@@ -92,7 +92,7 @@ impl Forward {
             None => Ok(length),
         })?;
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
-        let ((result, tokens), _) = session.reconstruct(&model, (&images, &blocks), &request, moves_tokens)?;
+        let ((result, tokens), _) = session.reconstruct(&model, &images, &blocks, &request, moves_tokens)?;
         session.notes(blocks::doubt(&result.seams));
         let mut scene = result.to_scene()?;
         let asked = command.cameras_out.is_some() && poses.is_none();

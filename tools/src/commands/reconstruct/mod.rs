@@ -317,7 +317,7 @@ impl Reconstruct {
             text += &format!("{}\n", refinement::summary(refined, started, cameras));
             if self.explain {
                 text +=
-                    &format!("\n{}", refinement::explain(refined, (request, &self.refine.settings), started, &photos));
+                    &format!("\n{}", refinement::explain(refined, request, &self.refine.settings, started, &photos));
             }
             json["refined"] = refinement::as_json(refined, started, cameras);
         }

@@ -45,8 +45,8 @@ pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
     let network = command.weights.open_network()?;
     let posed = command.cameras.is_some() && !command.finds_by_itself(&network);
     match &network {
-        Weights::Tokens(checkpoint) => show_tokens(session, command, checkpoint, (&photos, &frames), views),
-        Weights::Pixels(checkpoint) => show_depth(session, command, checkpoint, (views, posed)),
+        Weights::Tokens(checkpoint) => show_tokens(session, command, checkpoint, &photos, &frames, views),
+        Weights::Pixels(checkpoint) => show_depth(session, command, checkpoint, views, posed),
     }
 }
 
@@ -54,7 +54,8 @@ fn show_tokens(
     session: &mut Session<'_>,
     command: &Reconstruct,
     checkpoint: &Checkpoint,
-    (photos, frames): (&[PathBuf], &[&CaptureView]),
+    photos: &[PathBuf],
+    frames: &[&CaptureView],
     views: usize,
 ) -> Result<()> {
     let (quality, crop) = (&command.quality, command.crop.crop);
@@ -150,7 +151,8 @@ fn show_depth(
     session: &mut Session<'_>,
     command: &Reconstruct,
     checkpoint: &DepthCheckpoint,
-    (views, posed): (usize, bool),
+    views: usize,
+    posed: bool,
 ) -> Result<()> {
     let options = [
         ("--pictures", command.pictures.is_some()),
@@ -162,7 +164,7 @@ fn show_depth(
     let size = command.quality.input_size.unwrap_or(square(checkpoint));
     let (limits, precision, arithmetic) = target(session, arithmetic)?;
     let network = DepthNetwork::new(checkpoint.architecture(), &limits, arithmetic);
-    let shape = network.shape(views, [size.0, size.1], (*ratio, token_selection), posed, None)?;
+    let shape = network.shape(views, [size.0, size.1], *ratio, token_selection, posed, None)?;
     let (plan, _) = network.plan(&limits, shape)?;
     let (weights, arena, rows) = (network.weight_bytes(), plan.arena_bytes(), plan.arena_map());
     session.note_excess(weights + arena, &limits);

@@ -56,13 +56,12 @@ impl Reconstruct {
         let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera.relative_to(&world)).collect();
         let masks = self.finding.masks();
         let settings = &self.refine.settings;
-        let known = settings.known_depth(session, (photos, frames), &cameras, 1.0)?;
+        let known = settings.known_depth(session, photos, frames, &cameras, 1.0)?;
         let checkpoint = || refinement::checkpoint(self.output(), photos, masks.as_ref(), known.as_ref());
         let checkpoint = inputs.is_repeatable.then(checkpoint).transpose()?;
-        let paths = photos;
-        let photos = (PhotoFiles::new(photos, frames, masks)?, known.as_ref());
+        let files = PhotoFiles::new(photos, frames, masks)?;
         let depth = known.as_ref().map(|known| known.kind);
-        let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiasing, depth, paths) };
+        let request = RefineOptions { checkpoint, ..settings.request(steps, self.antialiasing, depth, photos) };
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
@@ -78,7 +77,7 @@ impl Reconstruct {
                 (Refinable::Scene(&scene), init.name())
             }
         };
-        let refined = refinement::refine(session, &arena, from, photos, &cameras, &request)?;
+        let refined = refinement::refine(session, &arena, from, files, known.as_ref(), &cameras, &request)?;
         Ok(RefinedScene { refined, started, cameras, request })
     }
 }

@@ -68,7 +68,7 @@ pub(super) fn read(folder: &Path) -> Result<Capture> {
             fail(format!("image {:?} has camera {}, which {} lacks", view.name, view.camera_id, cameras.display()))
         })?;
         let (photo, label) = (find_photo(folder, &view.name), format!("image {:?}", view.name));
-        let frames = CaptureView::of_lens((view.name, photo), lens, view.pose, None, &label);
+        let frames = CaptureView::of_lens(view.name, photo, lens, view.pose, None, &label);
         poses.frames.extend(frames.map_err(fail)?);
     }
     Ok(poses.warn_of_cut())

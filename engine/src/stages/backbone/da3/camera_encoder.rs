@@ -19,7 +19,7 @@ impl CameraEncoder {
         let root = &a.root;
         let heads = Heads::new(a.heads, width);
         let block = |p: &mut ParameterLayout, i| {
-            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, (Ffn::Gelu, a.hidden), EPS)
+            Block::new(p, &format!("{root}.trunk.{i}"), heads, false, Ffn::Gelu, a.hidden, EPS)
         };
         Self {
             trunk: (0..a.depth).map(|i| block(p, i)).collect(),

@@ -36,7 +36,7 @@ pub(super) fn transformer(p: &mut ParameterLayout, a: &BackboneArchitecture) -> 
     let patch_embed = p.convolution(&format!("{root}.patch_embed.proj"), &[3, a.patch_size, a.patch_size], width);
     let block = |i| {
         let (name, heads) = (format!("{root}.blocks.{i}"), Heads::new(a.heads, width));
-        Block::new(p, &name, heads, i >= a.qk_norm_start, (a.ffn, a.ffn_hidden), EPS)
+        Block::new(p, &name, heads, i >= a.qk_norm_start, a.ffn, a.ffn_hidden, EPS)
     };
     let blocks = (0..a.depth).map(block).collect();
     let final_norm = Some(p.norm(&format!("{root}.norm"), width, a.final_eps));
@@ -82,7 +82,7 @@ impl SpecialTokens for CameraTokens {
     fn first(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid) -> Rows {
         rec.scope("embed", |rec| {
             let patches = embed_patches(rec, images, grid, &self.patch_embed, false);
-            place_tokens(rec, patches, (self.class_token, 1), [1, 0], Some(self.named(inputs).positions), grid)
+            place_tokens(rec, patches, self.class_token, 1, [1, 0], Some(self.named(inputs).positions), grid)
         })
     }
 
@@ -111,7 +111,8 @@ impl SpecialTokens for CameraTokens {
         rec: &mut Recorder,
         x: Rows,
         inputs: &[Tensor],
-        (reference, chosen): (Reference, Option<Tensor>),
+        reference: Reference,
+        chosen: Option<Tensor>,
         grid: ViewGrid,
     ) -> Rows {
         let poses = self.named(inputs).poses.map(|poses| Rows::new(poses, grid.views, POSE_VALUES));

@@ -54,7 +54,7 @@ pub(super) fn transformer(p: &mut ParameterLayout, a: &BackboneArchitecture) -> 
             Some(i) => (format!("{root}.{}_blocks.{}", ["frame", "global"][i % 2], i / 2), EPS),
         };
         let heads = Heads::new(a.heads, width);
-        Block::new(p, &name, heads, i >= a.qk_norm_start, (a.ffn, a.ffn_hidden), eps)
+        Block::new(p, &name, heads, i >= a.qk_norm_start, a.ffn, a.ffn_hidden, eps)
     };
     let blocks = (0..a.depth).map(block).collect();
     Transformer { architecture: a.clone(), blocks, final_norm: None, special: Box::new(special) }
@@ -97,7 +97,7 @@ impl SpecialTokens for Registers {
         let Inputs { positions, embedding, .. } = Inputs::of(inputs);
         rec.scope("embed", |rec| {
             let patches = embed_patches(rec, images, grid, &self.patch_embed, true);
-            place_tokens(rec, patches, (embedding, LEADING), [1, 0], Some(positions), grid)
+            place_tokens(rec, patches, embedding, LEADING, [1, 0], Some(positions), grid)
         })
     }
 
@@ -107,14 +107,15 @@ impl SpecialTokens for Registers {
         rec: &mut Recorder,
         x: Rows,
         inputs: &[Tensor],
-        (reference, _): (Reference, Option<Tensor>),
+        reference: Reference,
+        _: Option<Tensor>,
         grid: ViewGrid,
     ) -> Rows {
         let patches = Rows::scratch(rec, "embedded", grid.tokens(), x.width, Element::F32);
         self.norm.record(rec, x, None, patches, [LEADING, grid.patches()]);
         rec.observe("bb/embedded", patches.tensor);
         let reference = if let Reference::View(view) = reference { view } else { 0 };
-        place_tokens(rec, patches, (Inputs::of(inputs).joint, LEADING), [2, reference], None, grid)
+        place_tokens(rec, patches, Inputs::of(inputs).joint, LEADING, [2, reference], None, grid)
     }
 
     /// Within and across views.

@@ -54,7 +54,7 @@ pub fn all<'a>(
             };
             let image = &capture.views.images[0];
             let (views, size) = (capture.views.images.len(), [image.width, image.height]);
-            let shape = Shape::new(architecture, views, size, (ratio, selection), true)?.pooled(pool);
+            let shape = Shape::new(architecture, views, size, ratio, selection, true)?.pooled(pool);
             let whole = shape.kept == TokenSampling::All;
             let same = |case: &Case| case.shape == shape && (whole || case.request.token_selection == *selection);
             if cases.iter().any(same) {

@@ -71,7 +71,7 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
         for (ratio, selection) in
             args.ratio.iter().flat_map(|ratio| args.token_selection.iter().map(move |s| (*ratio, s)))
         {
-            Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
+            Shape::new(architecture, *views, [width, height], ratio, selection, true)?;
         }
     }
     Ok(())
@@ -172,22 +172,22 @@ impl Bench<'_> {
         let forward = self.forward(model, case, stage)?;
         for keep in case.keep {
             stage.check()?;
-            let found = self.point(model, case, &forward, *keep)?;
-            if self.add(found, stage).is_break() {
+            let (point, picture) = self.point(model, case, &forward, *keep)?;
+            if self.add(point, picture, stage).is_break() {
                 return Ok(ControlFlow::Break(()));
             }
         }
         for (init, steps) in &case.refine {
             stage.name(&format!("{} views, {}, {steps} steps", case.capture.inputs.len(), case.settings));
-            let found = self.refined(model, case, &forward, *init, *steps, stage)?;
-            if self.add(found, stage).is_break() {
+            let (point, picture) = self.refined(model, case, &forward, *init, *steps, stage)?;
+            if self.add(point, picture, stage).is_break() {
                 return Ok(ControlFlow::Break(()));
             }
         }
         Ok(ControlFlow::Continue(()))
     }
 
-    fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) -> ControlFlow<()> {
+    fn add(&mut self, point: Point, picture: Image, stage: &Stage<'_>) -> ControlFlow<()> {
         self.sweep.points.push(point);
         self.sweep.pictures.push(picture);
         let spent = self.spent();
