@@ -3,7 +3,7 @@
 use crate::render::{ALL, render};
 use std::num::NonZeroU32;
 use zipsplat::gpu::{Plan, Profile};
-use zipsplat::stages::render::{CameraRows, FrameShape, record};
+use zipsplat::stages::render::{CameraRows, FrameInputs, FrameShape};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::render::{normals, project, rasterize};
 
@@ -94,7 +94,8 @@ fn plan(request: &RenderOptions) -> Plan {
     let mut rec = Recorder::new(&Limits::default());
     let scene = scenes::scene_inputs(&mut rec, 5_000, 1);
     let cameras = rec.input::<CameraRows>("cameras", 1);
-    record(&mut rec, &scene, cameras, FrameShape { cameras: 1, width: 64, height: 64 }, request, 1 << 14);
+    let shape = FrameShape { cameras: 1, width: 64, height: 64 };
+    FrameInputs { scene: &scene, cameras, shape, options: request, capacity: 1 << 14 }.record(&mut rec);
     rec.finish().unwrap()
 }
 

@@ -1,7 +1,7 @@
 //! The renderer against goldens, brute force, and itself.
 
 use std::num::NonZeroU32;
-use zipsplat::stages::render::{CameraRows, FrameShape, camera_rows, record};
+use zipsplat::stages::render::{CameraRows, FrameInputs, FrameShape, camera_rows};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{reference::render as reference, reference::render::rasterize::Rendering};
 
@@ -224,7 +224,7 @@ fn draw_within(max_binding_bytes: u64, scene: &Scene, camera: &Camera) -> Vec<u3
     let tensors = scenes::scene_inputs(&mut rec, scene.len(), scene.sh_degree);
     let cameras = rec.input::<CameraRows>("cameras", 1);
     let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
-    let outputs = record(&mut rec, &tensors, cameras, shape, &ALL, 1 << 14);
+    let outputs = FrameInputs { scene: &tensors, cameras, shape, options: &ALL, capacity: 1 << 14 }.record(&mut rec);
     let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
     run.write(tensors.means, &scene.means).unwrap();
     run.write(tensors.scales, &scene.scales).unwrap();

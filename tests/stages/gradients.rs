@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use zipsplat::refine::{Adam, Space, record_adam};
 use zipsplat::stages::loss::{Loss, LossTensors, record_loss};
-use zipsplat::stages::render::{CameraRows, FrameShape, Gradients, SceneTensors, camera_rows, record_with_gradients};
+use zipsplat::stages::render::{CameraRows, FrameInputs, FrameShape, Gradients, SceneTensors, camera_rows};
 use zipsplat::{gpu::Resident, ops::ParameterLayout, ops::place_columns, stages::gaussians::Head};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{
@@ -165,8 +165,9 @@ fn record_gradient(
         losses = Some(found);
         found.d_frames
     };
-    let request = RenderOptions::default();
-    let (drawn, _) = record_with_gradients(rec, &scene, inputs.cameras, shape, &request, 1 << 16, compared, &gradients);
+    let options = &RenderOptions::default();
+    let frames = FrameInputs { scene: &scene, cameras: inputs.cameras, shape, options, capacity: 1 << 16 };
+    let (drawn, _) = frames.record_with_gradients(rec, compared, &gradients);
     rec.output(drawn.frames);
     let d_tokens = head.record_backward(rec, &kept, &d_gaussians);
     (d_tokens, losses.expect("compared"), drawn.frames, drawn.status)

@@ -3,10 +3,7 @@ use crate::{
     gpu::{Arena, Device, Limits, Recorder, Resident, ResidentLayout, Run, Tensor},
     stages::{
         FrameShape,
-        render::{
-            CameraRows, DeviceScene, FeatureFrame, Lifting, RenderOptions, SceneTensors, VECTOR, record_lift,
-            record_pictures,
-        },
+        render::{CameraRows, DeviceScene, FrameInputs, Lifting, RenderOptions, SceneTensors, VECTOR},
     },
     types::Scene,
 };
@@ -80,16 +77,16 @@ impl PlanTensors {
             antialiased: Some(job.antialiased),
             ..RenderOptions::default()
         };
-        let frame = FeatureFrame { scene, camera, shape, options: &options, capacity };
+        let frame = FrameInputs { scene, cameras: camera, shape, options: &options, capacity };
         let Some(cells) = job.cells else {
-            let (pictures, status) = record_pictures(rec, frame, &part.features, job.group);
+            let (pictures, status) = frame.record_pictures(rec, &part.features, job.group);
             return Self { camera, values: None, pictures, status };
         };
         let count = cells[0] as usize * cells[1] as usize * job.vectors;
         let values = rec.input::<[f32; VECTOR]>("values", count);
         let Job { vectors, group, .. } = job;
         let lifting = Lifting { values, cells, vectors, group, lifted: part.features[0], totals: part.totals };
-        let status = record_lift(rec, frame, lifting);
+        let status = frame.record_lift(rec, lifting);
         Self { camera, values: Some(values), pictures: Vec::new(), status }
     }
 }

@@ -12,8 +12,8 @@ use crate::{
         loss::{LossTensors, record_loss, record_mask, record_targets},
         lpips::{Lpips, LpipsPictures},
         render::{
-            CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows,
-            record, record_with_gradients,
+            CAMERA_NUMBERS, CameraRows, Depth, FrameInputs, FrameShape, Gradients, RenderOptions, RenderOutputs,
+            camera_rows,
         },
     },
 };
@@ -91,7 +91,8 @@ pub(super) fn record_photos(
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
     let Some(Training { options, gradients, lpips, exposure, masked, depth }) = training else {
-        return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, drawing, capacity) };
+        let outputs = FrameInputs { scene, cameras, shape, options: drawing, capacity }.record(rec);
+        return Recorded { cameras, learning: None, outputs };
     };
     let d_cameras = options.optimize_cameras.then(|| {
         let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", count);
@@ -141,7 +142,8 @@ pub(super) fn record_photos(
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
-    let (outputs, _) = record_with_gradients(rec, scene, cameras, shape, drawing, capacity, compare, &gradients);
+    let inputs = FrameInputs { scene, cameras, shape, options: drawing, capacity };
+    let (outputs, _) = inputs.record_with_gradients(rec, compare, &gradients);
     d_cameras.iter().for_each(|tensor| rec.output(*tensor));
     Recorded { cameras, learning, outputs }
 }

@@ -1,6 +1,6 @@
 use crate::case::*;
 use zipsplat::stages::render::{
-    CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, SceneTensors, camera_rows, record_with_gradients,
+    CAMERA_NUMBERS, CameraRows, FrameInputs, FrameShape, Gradients, SceneTensors, camera_rows,
 };
 use zipsplat_tests::reference::render::backward::{Direction, Drawing, Weights, along};
 use zipsplat_tests::reference::render::rasterize::render;
@@ -85,9 +85,8 @@ impl How<'_> {
         let size = &cameras[0].intrinsics;
         let shape = FrameShape { cameras: cameras.len(), width: size.width, height: size.height };
         let gradients = Gradients { scene: self.scene.then_some(d), cameras: self.cameras.then_some(d_cameras) };
-        let (rec, capacity) = (&mut case.rec, self.capacity);
-        let (outputs, _) =
-            record_with_gradients(rec, &tensors, rows, shape, request, capacity, |_, _| d_frames, &gradients);
+        let inputs = FrameInputs { scene: &tensors, cameras: rows, shape, options: request, capacity: self.capacity };
+        let (outputs, _) = inputs.record_with_gradients(&mut case.rec, |_, _| d_frames, &gradients);
         let run = case.run().unwrap();
         let read = |tensor| run.read(tensor).unwrap();
         Found {

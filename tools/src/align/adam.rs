@@ -9,8 +9,8 @@ use zipsplat::{
     perceptual::Perceptual,
     refine::{Adam, PoseAdam},
     stages::render::{
-        CAMERA_NUMBERS, CameraRows, DeviceScene, FrameShape, Gradients, RenderOptions, RenderOutputs, Renderer,
-        camera_rows, record_with_gradients,
+        CAMERA_NUMBERS, CameraRows, DeviceScene, FrameInputs, FrameShape, Gradients, RenderOptions, RenderOutputs,
+        Renderer, camera_rows,
     },
     types::{Camera, Image},
 };
@@ -166,8 +166,8 @@ impl Backward {
         let gradients = Gradients { scene: None, cameras: Some(d_cameras) };
         let (tensors, options) = (scene.tensors(), scene.fill_in(&with_alpha()));
         let given = |_: &mut Recorder, _: Tensor| d_frames;
-        let (outputs, _) =
-            record_with_gradients(&mut rec, tensors, cameras, shape, &options, capacity, given, &gradients);
+        let inputs = FrameInputs { scene: tensors, cameras, shape, options: &options, capacity };
+        let (outputs, _) = inputs.record_with_gradients(&mut rec, given, &gradients);
         rec.output(d_cameras);
         let run = Run::in_arena(arena, 0, rec.finish()?, [scene.resident().clone()])?;
         Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })

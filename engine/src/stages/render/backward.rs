@@ -1,10 +1,7 @@
 //! Every Gaussian-tile intersection has a slot, written once. Gaussians sum consecutive slots in
 //! order, without atomics.
 
-use super::{
-    Depth, FrameShape, RenderOptions, RenderOutputs, SceneTensors, draw, intersect::TileLists, project::Splats,
-    rasterize::bands,
-};
+use super::{Depth, FrameInputs, RenderOutputs, SceneTensors, intersect::TileLists, project::Splats, rasterize::bands};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{
@@ -48,45 +45,40 @@ impl SplatGradients {
     }
 }
 
-/// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
-/// backward pass. Exceeded capacity accumulates nothing.
-///
-/// # Panics
-/// If `options` has outputs without gradients: normals, token colors, expected depth without alpha.
-#[expect(clippy::too_many_arguments)]
-pub fn record_with_gradients(
-    rec: &mut Recorder,
-    scene: &SceneTensors,
-    cameras: Tensor,
-    shape: FrameShape,
-    options: &RenderOptions,
-    capacity: usize,
-    loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
-    gradients: &Gradients,
-) -> (RenderOutputs, SplatGradients) {
-    assert!(!options.normals && options.token_group.is_none(), "normals and token colors have no gradient");
-    assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
-    let (splats, lists, frames) = rec.scope("render", |rec| {
-        let (splats, lists, frames) = draw(rec, scene, cameras, shape, options, capacity);
-        rec.output(lists.status);
-        (splats, lists, frames)
-    });
-    let d_frames = loss(rec, frames);
-    assert_eq!(d_frames.bytes(), frames.bytes(), "gradients of frames");
-    let d_pairs = rec.scope("render_backward", |rec| {
-        let backward = Backward { scene, cameras, shape, options, capacity, splats: &splats, lists: &lists };
-        let slots = backward.rasterize(rec, frames, d_frames);
-        backward.splats(rec, &slots, gradients)
-    });
-    (RenderOutputs { frames, status: lists.status }, SplatGradients { conics: splats.conics, d_pairs })
+impl FrameInputs<'_> {
+    /// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
+    /// backward pass. Exceeded capacity accumulates nothing.
+    ///
+    /// # Panics
+    /// If the options have outputs without gradients: normals, token colors, expected depth without
+    /// alpha.
+    pub fn record_with_gradients(
+        self,
+        rec: &mut Recorder,
+        loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
+        gradients: &Gradients,
+    ) -> (RenderOutputs, SplatGradients) {
+        let options = self.options;
+        assert!(!options.normals && options.token_group.is_none(), "normals and token colors have no gradient");
+        assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
+        let (splats, lists, frames) = rec.scope("render", |rec| {
+            let drawn = self.draw(rec);
+            rec.output(drawn.1.status);
+            drawn
+        });
+        let d_frames = loss(rec, frames);
+        assert_eq!(d_frames.bytes(), frames.bytes(), "gradients of frames");
+        let d_pairs = rec.scope("render_backward", |rec| {
+            let backward = Backward { inputs: self, splats: &splats, lists: &lists };
+            let slots = backward.rasterize(rec, frames, d_frames);
+            backward.splats(rec, &slots, gradients)
+        });
+        (RenderOutputs { frames, status: lists.status }, SplatGradients { conics: splats.conics, d_pairs })
+    }
 }
 
 struct Backward<'a> {
-    scene: &'a SceneTensors,
-    cameras: Tensor,
-    shape: FrameShape,
-    options: &'a RenderOptions,
-    capacity: usize,
+    inputs: FrameInputs<'a>,
     splats: &'a Splats,
     lists: &'a TileLists,
 }
@@ -111,7 +103,7 @@ pub(super) fn slot_starts(rec: &mut Recorder, splats: &Splats) -> Tensor {
 
 impl Backward<'_> {
     fn rasterize(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
-        let &Backward { splats, lists, shape, options, capacity, .. } = self;
+        let &Backward { inputs: FrameInputs { shape, options, capacity, .. }, splats, lists } = self;
         let (tile_sets, starts) = (splats.tile_sets, slot_starts(rec, splats));
         let values = 3 * usize::from(options.rgb) + usize::from(options.depth.is_some());
         let moments = rec.tensor::<[f32; 6]>("moments", capacity);
@@ -155,7 +147,7 @@ impl Backward<'_> {
     }
 
     fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) -> Tensor {
-        let &Backward { scene, cameras, shape, options, splats, lists, .. } = self;
+        let &Backward { inputs: FrameInputs { scene, cameras, shape, options, .. }, splats, lists } = self;
         let lanes = rec.limits().subgroup_size as usize;
         let d_pairs = rec.tensor::<[f32; PAIR_NUMBERS]>("d_pairs", splats.pairs.max(1));
         let parts = gradients.cameras.map(|_| {

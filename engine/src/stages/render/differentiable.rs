@@ -1,7 +1,7 @@
 use super::{
-    CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, RenderOutput,
-    RenderOutputs, SceneTensors,
-    backward::{SplatGradients, record_with_gradients},
+    CAMERA_NUMBERS, CameraRows, Depth, FrameInputs, FrameShape, Gradients, PlanCache, PlanKey, RenderOptions,
+    RenderOutput, RenderOutputs, SceneTensors,
+    backward::SplatGradients,
     camera_rows, first_capacity,
     range::{check, drawable},
 };
@@ -170,8 +170,8 @@ impl GradientPlan {
         d_cameras.iter().for_each(|tensor| rec.fill(*tensor, 0));
         let gradients = Gradients { scene: wanted.scene.then_some(memory.gradients), cameras: d_cameras };
         let given = |_: &mut Recorder, _| d_frames;
-        let (outputs, splats) =
-            record_with_gradients(&mut rec, scene, cameras, shape, &options, capacity, given, &gradients);
+        let inputs = FrameInputs { scene, cameras, shape, options: &options, capacity };
+        let (outputs, splats) = inputs.record_with_gradients(&mut rec, given, &gradients);
         let d_splats = wanted.means2d.then_some(splats);
         let d_splats_tensors = d_splats.iter().flat_map(|splats| [splats.conics, splats.d_pairs]);
         d_cameras.into_iter().chain(d_splats_tensors).for_each(|tensor| rec.output(tensor));

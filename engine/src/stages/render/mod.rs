@@ -28,9 +28,9 @@ use intersect::TileLists;
 use project::Splats;
 
 pub use super::{FrameShape, SceneTensors};
-pub use backward::{CAMERA_NUMBERS, Gradients, SplatGradients, record_with_gradients};
+pub use backward::{CAMERA_NUMBERS, Gradients, SplatGradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
-pub(crate) use features::{FeatureFrame, Lifting, VECTOR, VECTORS_AT_ONCE, record_lift, record_pictures};
+pub(crate) use features::{Lifting, VECTOR, VECTORS_AT_ONCE};
 pub use frame::{Depth, RenderOptions, RenderOutput};
 pub use pack::PixelLayout;
 pub use plan_cache::first_capacity;
@@ -63,53 +63,49 @@ pub(crate) fn needed(run: &Run, status: Tensor) -> Result<usize> {
     Ok(if status[2] == 0 { status[1] as usize } else { 1 << 32 })
 }
 
-/// Renders `scene` by `cameras` of [`camera_rows`] with `capacity` intersections.
-pub fn record(
-    rec: &mut Recorder,
-    scene: &SceneTensors,
-    cameras: Tensor,
-    shape: FrameShape,
-    options: &RenderOptions,
-    capacity: usize,
-) -> RenderOutputs {
-    record_in(rec, scene, cameras, shape, options, capacity, None)
+/// Inputs of rendering.
+#[derive(Clone, Copy)]
+pub struct FrameInputs<'a> {
+    pub scene: &'a SceneTensors,
+    /// Rows of [`camera_rows`].
+    pub cameras: Tensor,
+    pub shape: FrameShape,
+    pub options: &'a RenderOptions,
+    /// Most tile intersections.
+    pub capacity: usize,
 }
 
-/// As [`record`], or with pixels in a layout for [`Run::present`].
-fn record_in(
-    rec: &mut Recorder,
-    scene: &SceneTensors,
-    cameras: Tensor,
-    shape: FrameShape,
-    options: &RenderOptions,
-    capacity: usize,
-    layout: Option<PixelLayout>,
-) -> RenderOutputs {
-    rec.scope("render", |rec| {
-        let (_, lists, mut frames) = draw(rec, scene, cameras, shape, options, capacity);
-        if let Some(layout) = layout {
-            frames = pack::record(rec, frames, layout);
-            rec.keep(frames);
-        } else {
-            rec.output(frames);
-        }
-        rec.output(lists.status);
-        RenderOutputs { frames, status: lists.status }
-    })
-}
+impl FrameInputs<'_> {
+    pub fn record(self, rec: &mut Recorder) -> RenderOutputs {
+        self.record_in(rec, None)
+    }
 
-fn draw(
-    rec: &mut Recorder,
-    scene: &SceneTensors,
-    cameras: Tensor,
-    shape: FrameShape,
-    options: &RenderOptions,
-    capacity: usize,
-) -> (Splats, TileLists, Tensor) {
-    let splats = project::record(rec, scene, cameras, shape, options);
-    let lists = intersect::record(rec, &splats, shape, capacity);
-    let frames = rasterize::record(rec, &splats, &lists, shape, options);
-    (splats, lists, frames)
+    /// As [`Self::record`], or with pixels in a layout for [`Run::present`].
+    fn record_in(self, rec: &mut Recorder, layout: Option<PixelLayout>) -> RenderOutputs {
+        rec.scope("render", |rec| {
+            let (_, lists, mut frames) = self.draw(rec);
+            if let Some(layout) = layout {
+                frames = pack::record(rec, frames, layout);
+                rec.keep(frames);
+            } else {
+                rec.output(frames);
+            }
+            rec.output(lists.status);
+            RenderOutputs { frames, status: lists.status }
+        })
+    }
+
+    fn draw(self, rec: &mut Recorder) -> (Splats, TileLists, Tensor) {
+        let (splats, lists) = self.intersect(rec);
+        let frames = rasterize::record(rec, &splats, &lists, self.shape, self.options);
+        (splats, lists, frames)
+    }
+
+    fn intersect(self, rec: &mut Recorder) -> (Splats, TileLists) {
+        let splats = project::record(rec, self.scene, self.cameras, self.shape, self.options);
+        let lists = intersect::record(rec, &splats, self.shape, self.capacity);
+        (splats, lists)
+    }
 }
 
 impl FrameShape {

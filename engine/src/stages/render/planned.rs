@@ -1,6 +1,6 @@
 use super::{
-    CameraRows, DeviceScene, FrameShape, PixelLayout, PlanKey, RenderOptions, RenderOutput, RenderOutputs,
-    SceneTensors, first_capacity, flights::pictures_per_batch, planned_capacity, record, record_in,
+    CameraRows, DeviceScene, FrameInputs, FrameShape, PixelLayout, PlanKey, RenderOptions, RenderOutput, RenderOutputs,
+    SceneTensors, first_capacity, flights::pictures_per_batch, planned_capacity,
 };
 use crate::{
     Result,
@@ -41,7 +41,7 @@ pub fn plan_pictures(
     let mut rec = Recorder::new(limits);
     let rows = rec.input::<CameraRows>("cameras", cameras);
     let capacity = planned_capacity(limits.max_binding_bytes, first_capacity(scene.len), shape, false);
-    record(&mut rec, scene, rows, shape, options, capacity);
+    FrameInputs { scene, cameras: rows, shape, options, capacity }.record(&mut rec);
     rec.finish()
 }
 
@@ -58,7 +58,8 @@ impl RenderPlan {
         };
         let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
-        let outputs = record_in(&mut rec, scene.tensors(), cameras, key.shape, &options, capacity, layout);
+        let inputs = FrameInputs { scene: scene.tensors(), cameras, shape: key.shape, options: &options, capacity };
+        let outputs = inputs.record_in(&mut rec, layout);
         let run = Run::in_arena(arena, lane, rec.finish()?, [scene.resident().clone()])?.in_flight()?;
         Ok(Self { key, scene: *scene.tensors(), run, cameras, outputs })
     }
