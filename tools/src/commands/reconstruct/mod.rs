@@ -1,5 +1,6 @@
 mod captured;
 mod each;
+mod finished;
 mod forward;
 mod pixels;
 mod placed;
@@ -10,34 +11,27 @@ mod world;
 use super::render::Render;
 use crate::{
     blocks::BlockArgs,
-    cameras::{Finding, KnownCameras, Place},
+    cameras::{EstimatedCameras, Finding, KnownCameras, Place},
     options::{Antialiasing, Network, Quality, Size, Weights, parse_length, refuse},
-    outputs::{self, Overwrite},
+    outputs::Overwrite,
     photos::{PhotoArgs, Photographed},
-    refinement::{self, Initialization, RefineArgs, has_stable_cameras, placed, save_cameras},
-    session::{Session, stage_seconds},
-    table::{bytes, counted, time},
-    video::FrameFolder,
+    refinement::{self, Initialization, RefineArgs, has_stable_cameras, placed},
+    session::Session,
     views::CropOption,
 };
 use clap::{Arg, ArgGroup, Args};
 use each::Batch;
-use forward::{Forward, LOAD_WEIGHTS};
-use refined::{From, RefineInputs, RefinedScene};
-use serde_json::json;
-use std::{
-    fmt::Write,
-    path::{Path, PathBuf},
-    time::{Duration, Instant},
-};
-use world::{WorldName, coarse};
+use finished::Finished;
+use forward::Forward;
+use refined::{From, RefineInputs};
+use std::path::{Path, PathBuf};
+use world::WorldName;
 use zipsplat::{
     Error, Result,
+    gpu::Device,
     reconstruct::MAX_VIEWS,
-    refine::StopReason,
-    stages::render::Renderer,
     types::{
-        SaveOptions,
+        PointCloud, Pose,
         poses::{Capture, CaptureView, read_cloud},
     },
 };
@@ -155,6 +149,12 @@ pub struct Posed<'a> {
     pub frames: &'a [&'a CaptureView],
 }
 
+impl Posed<'_> {
+    pub fn first(&self) -> Option<Pose> {
+        self.frames.first().map(|frame| frame.camera.pose)
+    }
+}
+
 impl Reconstruct {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match (self.dry_run, self.each) {
@@ -174,22 +174,53 @@ impl Reconstruct {
         let drawing = self.drawing()?;
         let network = self.weights.open_network()?;
         self.check_network(session, &network)?;
-        let Photographed { photos, known, folder: mut frame_folder } = self.captured(session, &network)?;
+        let Photographed { photos, known, mut folder } = self.captured(session, &network)?;
         let (poses, found) = known.map(|known| (known.poses, known.found)).unzip();
         let mut found = found.flatten();
         let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
-        let first = frames.first().map(|frame| frame.camera.pose);
-        let steps = self.refine.steps();
-        let cloud = match (steps, &poses, &first) {
-            (Some(_), Some(Capture { points: Some(points), .. }), Some(first)) => {
-                Some(placed(read_cloud(points)?, &first.inverse(), 1.0))
-            }
-            _ => None,
-        };
-        let start = steps.map(|steps| self.initialization(steps, cloud.as_ref()));
         let posed = Posed { photos: &photos, poses: poses.as_ref(), frames: &frames };
-        let (forward, device) = match (start, &network) {
-            // Points need no network.
+        let cloud = self.cloud(posed)?;
+        let steps = self.refine.steps();
+        let init = steps.map(|steps| self.initialization(steps, cloud.as_ref()));
+        let (forward, device) = self.forward(session, &network, init, posed, &mut found)?;
+        let inputs = RefineInputs {
+            device: &device,
+            network: &network,
+            forward: forward.as_ref(),
+            // Converted photos are new files.
+            is_repeatable: self.cameras.as_deref().is_none_or(has_stable_cameras) && folder.is_none(),
+        };
+        let refine = |(steps, init)| self.refine_scene(session, steps, init, inputs, cloud.as_ref(), posed);
+        let refined = steps.zip(init).map(refine).transpose()?;
+        let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
+        let Some(scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
+        let found = found.filter(|_| !self.finds_by_itself(&network));
+        let mut made = Finished { posed, found, forward, refined, device, scene, times: Vec::new() };
+        self.save(session, &mut made, &mut folder)?;
+        let drawn = drawing.map(|drawing| self.draw(session, &mut made, &drawing)).transpose()?;
+        self.report(session, made, drawn)
+    }
+
+    /// Points for a refinement, in the first camera's world.
+    fn cloud(&self, posed: Posed<'_>) -> Result<Option<PointCloud>> {
+        match (self.refine.steps(), posed.poses, posed.first()) {
+            (Some(_), Some(Capture { points: Some(points), .. }), Some(first)) => {
+                Ok(Some(placed(read_cloud(points)?, &first.inverse(), 1.0)))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Points need no network.
+    fn forward(
+        &self,
+        session: &mut Session<'_>,
+        network: &Network,
+        init: Option<From>,
+        posed: Posed<'_>,
+        found: &mut Option<EstimatedCameras>,
+    ) -> Result<(Option<Forward>, Device)> {
+        Ok(match (init, network) {
             (Some(From::Scene(Initialization::Points)), _) => (None, session.device()?),
             (_, Network::Tokens(checkpoint)) => {
                 let size = self.check_views(session, checkpoint, posed)?;
@@ -200,132 +231,7 @@ impl Reconstruct {
                 let predicted = found.as_mut().and_then(|found| found.predicted.take());
                 (Some(Forward::of_pixels(self, session, checkpoint, predicted, posed)?), session.device()?)
             }
-        };
-
-        let refined = match (steps, start) {
-            (Some(steps), Some(start)) => {
-                let checkpoint = match &network {
-                    Network::Tokens(checkpoint) => Some(checkpoint),
-                    Network::Pixels(_) => None,
-                };
-                let stable = self.cameras.as_deref().is_none_or(has_stable_cameras);
-                // Converted photos are new files.
-                let is_repeatable = stable && frame_folder.is_none();
-                let given = RefineInputs { device: &device, checkpoint, forward: forward.as_ref(), is_repeatable };
-                Some(self.refine_scene(session, steps, start, given, cloud.as_ref(), posed)?)
-            }
-            _ => None,
-        };
-        let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
-        let Some(mut scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
-        let world = self.world.of(&frames);
-        let moved = first.filter(|_| matches!(self.world, WorldName::InputCameras));
-        if let Some(first) = &moved {
-            scene.place(1.0, first);
-            session.notes(coarse(first, forward.as_ref()));
-        }
-        // A stage would drop the scene at Ctrl-C.
-        let begin = Instant::now();
-        session.notes(outputs::save_scene(self.output(), &scene, &SaveOptions::default(), world.as_ref())?);
-        let write = begin.elapsed();
-        let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
-        if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
-            let points = match &found {
-                Some(_) => Some(Place(path).points()),
-                None => poses.as_ref().and_then(|poses| poses.points.clone()),
-            };
-            save_cameras(path, refined, &(*first).into(), &photos, &frames, points.as_deref())?;
-            frame_folder.iter_mut().for_each(FrameFolder::keep);
-        }
-        let is_cancelled = |made: &&RefinedScene| made.refined.stop_reason == Some(StopReason::Cancelled);
-        if let Some(made) = refined.as_ref().filter(is_cancelled) {
-            session.note(refinement::cancellation(self.output(), &made.request, &made.refined));
-            return Err(Error::Cancelled);
-        }
-        refined.iter().for_each(|made| refinement::remove_checkpoint(&made.request, &made.refined));
-        if let (Some(path), Some(found)) =
-            (&self.cameras_out, forward.as_ref().and_then(|forward| forward.found.as_ref()))
-        {
-            session.notes(found.save(path, &photos)?);
-            frame_folder.iter_mut().for_each(FrameFolder::keep);
-        }
-        let until_drawing = session.began.elapsed();
-        let drawn = drawing.map(|drawing| {
-            let mut renderer = Renderer::new(&device);
-            // The host may have pruned or moved the scene.
-            let as_made = refined.is_none() && moved.is_none();
-            let own = forward.as_ref().filter(|_| as_made).and_then(|forward| forward.on_device.as_ref());
-            let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
-                Some(gaussians) => renderer.set_scene(gaussians),
-                None => renderer.set_scene(&scene),
-            };
-            drawing.draw(session, &mut renderer, &scene, 0, world.as_ref(), load)
-        });
-        let drawn = drawn.transpose()?;
-
-        let found = found.filter(|_| !self.finds_by_itself(&network));
-        let mut times: Vec<(String, Duration)> = Vec::new();
-        times.extend(found.iter().flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took))));
-        times.extend(forward.iter().flat_map(|forward| forward.times.clone()));
-        if let Some(made) = &refined {
-            times.push(("refine".to_owned(), made.refined.took));
-        }
-        times.push(("write".to_owned(), write));
-        times.extend(drawn.iter().map(|_| ("pictures".to_owned(), session.began.elapsed() - until_drawing)));
-        let total = session.began.elapsed();
-        let other = total.saturating_sub(times.iter().map(|(_, took)| *took).sum());
-        times.push(("other".to_owned(), other));
-        let stages = stage_seconds(&times);
-        times.push(("total".to_owned(), total));
-        let peaks = forward.iter().map(|forward| forward.peak_bytes);
-        let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
-        let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
-        let mut json = json!({
-            "output": self.output().to_string_lossy(), "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
-            "peak_bytes": peak_bytes, "seconds": total.as_secs_f64(), "stage_seconds": stages,
-        });
-        let of = match (&refined, &forward) {
-            (Some(made), _) => {
-                let steps = counted(made.refined.best_step, "step");
-                format!(
-                    " from {}, refined for {steps} against {}",
-                    made.started,
-                    counted(photos.len() - made.refined.holdout_views.len(), "photo")
-                )
-            }
-            (None, Some(forward)) => forward.views_summary.clone(),
-            (None, None) => String::new(),
-        };
-        let mut text = format!("{}: {}{of}\n", self.output().display(), counted(scene.len(), "Gaussian"));
-        if let Some(forward) = &forward {
-            text += &forward.summary;
-            forward.json.iter().for_each(|(name, value)| json[*name] = value.clone());
-        }
-        text += &format!("at most {} of {}\n", bytes(peak_bytes), device.limits().name);
-        for (stage, took) in &times {
-            let loaded = forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS);
-            let rate = loaded.map_or_else(String::new, |forward| format!("  ({}/s)", bytes(forward.rate)));
-            let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
-        }
-        if let (true, Some(explanation)) =
-            (self.explain, forward.as_ref().and_then(|forward| forward.explanation.as_ref()))
-        {
-            text += &format!("\n{explanation}");
-            json["explain"] = json!(explanation);
-        }
-        if let Some(RefinedScene { refined, started, cameras, request, .. }) = &refined {
-            text += &format!("{}\n", refinement::summary(refined, started, cameras));
-            if self.explain {
-                text +=
-                    &format!("\n{}", refinement::explain(refined, request, &self.refine.settings, started, &photos));
-            }
-            json["refined"] = refinement::as_json(refined, started, cameras);
-        }
-        if let Some((pictures, description)) = drawn {
-            json["pictures"] = pictures;
-            text += &description;
-        }
-        session.report(&json, text)
+        })
     }
 
     fn check_network(&self, session: &mut Session<'_>, network: &Network) -> Result<()> {

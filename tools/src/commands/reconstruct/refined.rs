@@ -1,5 +1,6 @@
 use super::{Posed, Reconstruct, forward::Forward};
 use crate::{
+    options::Network,
     photos::PhotoFiles,
     refinement::{self, Initialization, Refinable, RefineTask},
     session::Session,
@@ -9,7 +10,6 @@ use zipsplat::{
     gpu::{Arena, Device},
     refine::{FrozenHead, RefineOptions, RefineResult},
     types::{Camera, PointCloud},
-    weights::Checkpoint,
 };
 
 #[derive(Clone, Copy)]
@@ -20,7 +20,7 @@ pub enum From {
 
 pub struct RefineInputs<'a> {
     pub device: &'a Device,
-    pub checkpoint: Option<&'a Checkpoint>,
+    pub network: &'a Network,
     pub forward: Option<&'a Forward>,
     /// A rerun has equal photos and cameras.
     pub is_repeatable: bool,
@@ -66,13 +66,13 @@ impl Reconstruct {
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
         let (head, scene);
-        let (from, started) = match (init, tokens.zip(inputs.checkpoint)) {
-            (From::Tokens, Some((tokens, checkpoint))) => {
+        let (from, started) = match (init, tokens, inputs.network) {
+            (From::Tokens, Some(tokens), Network::Tokens(checkpoint)) => {
                 head = FrozenHead::load(inputs.device, checkpoint)?;
                 (Refinable::Tokens(&head, tokens), refinement::TOKENS)
             }
-            (From::Tokens, None) => unreachable!("they were asked for"),
-            (From::Scene(init), _) => {
+            (From::Tokens, ..) => unreachable!("they were asked for"),
+            (From::Scene(init), ..) => {
                 scene = init.scene(inputs.forward.map(|forward| forward.scene.clone()), cloud, &cameras)?;
                 (Refinable::Scene(&scene), init.name())
             }
