@@ -17,7 +17,7 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     gpu::Arena,
-    refine::{RefineOptions, RefineResult, StopReason},
+    refine::{RefineOptions, RefineResult},
     types::{
         Camera, SaveOptions, Scene, World,
         poses::{Capture, CaptureView, read_cloud},
@@ -132,11 +132,7 @@ impl Refine {
             let points = poses.points.as_deref().filter(|_| !KnownCameras::to_find(&self.cameras));
             save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames, points)?;
         }
-        if refined.stop_reason == Some(StopReason::Cancelled) {
-            session.note(refinement::cancellation(&self.output, &request, &refined));
-            return Err(Error::Cancelled);
-        }
-        refinement::remove_checkpoint(&request, &refined);
+        refinement::conclude(session, &self.output, &request, &refined)?;
         self.report(session, device.limits().name.clone(), &photos, &started.cameras, refined, &request)
     }
 

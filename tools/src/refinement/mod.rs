@@ -5,7 +5,7 @@ mod report;
 
 pub use initialization::Initialization;
 pub use options::{DEFAULT_LENGTH, RefineArgs, RefineSettings, RefineTask, join_steps, parse_steps, with_cameras};
-pub use report::{as_json, cancellation, explain, summary};
+pub use report::{as_json, explain, summary};
 
 use crate::{
     cameras::{Finder, Similarity, path_from},
@@ -71,12 +71,23 @@ pub fn checkpoint(
     Ok(RefineCheckpoint::new(path.into(), digest(&parts)))
 }
 
-/// Removes a written scene's checkpoint, unless the refinement failed.
-pub fn remove_checkpoint(request: &RefineOptions, refined: &RefineResult) {
+/// Fails if cancelled; removes the checkpoint unless the refinement failed.
+pub fn conclude(
+    session: &mut Session<'_>,
+    output: &Path,
+    request: &RefineOptions,
+    refined: &RefineResult,
+) -> Result<()> {
+    if refined.stop_reason == Some(StopReason::Cancelled) {
+        let (output, step, hint) = (output.display(), refined.best_step, report::hint_to_resume(request));
+        session.note(format!("{output}: the best so far, after step {step}{hint}"));
+        return Err(Error::Cancelled);
+    }
     let is_needed = matches!(refined.stop_reason, Some(StopReason::Failed(_)));
     if let Some(checkpoint) = request.checkpoint.as_ref().filter(|_| !is_needed) {
         std::fs::remove_file(&checkpoint.path).ok();
     }
+    Ok(())
 }
 
 /// Cancellation returns the best so far, if any.

@@ -2,7 +2,7 @@ use super::{RefineSettings, TOKENS};
 use crate::table::{Table, bytes, counted, significant, time};
 use glam::DQuat;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use zipsplat::{
     refine::{DepthKind, DepthLoss, LearningRates, RefineOptions, RefineResult, StopReason},
     types::{Camera, Pose, median},
@@ -132,14 +132,8 @@ fn ended(refined: &RefineResult) -> String {
 /// Photos below which refinement overfits.
 const FEW: usize = 6;
 
-/// Returns a note on the best scene so far, in `output`.
-pub fn cancellation(output: &Path, request: &RefineOptions, refined: &RefineResult) -> String {
-    let (output, step) = (output.display(), refined.best_step);
-    format!("{output}: the best so far, after step {step}{}", hint_to_resume(request))
-}
-
 /// Empty without a checkpoint.
-fn hint_to_resume(request: &RefineOptions) -> &'static str {
+pub(super) fn hint_to_resume(request: &RefineOptions) -> &'static str {
     if request.checkpoint.is_some() { "; the same command continues" } else { "" }
 }
 

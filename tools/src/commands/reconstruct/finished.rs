@@ -19,27 +19,23 @@ use std::{
     time::{Duration, Instant},
 };
 use zipsplat::{
-    Error, Result,
+    Result,
     gpu::Device,
-    refine::StopReason,
     stages::render::Renderer,
     types::{Pose, SaveOptions, Scene},
 };
 
 pub struct Finished<'a> {
     pub posed: Posed<'a>,
-    /// Cameras from another program or network.
     pub found: Option<EstimatedCameras>,
     pub forward: Option<Forward>,
     pub refined: Option<RefinedScene>,
     pub device: Device,
     pub scene: Scene,
-    /// After those of `found`, `forward` and `refined`.
     pub times: Vec<(String, Duration)>,
 }
 
 impl Reconstruct {
-    /// Writes scene and cameras.
     pub fn save(
         &self,
         session: &mut Session<'_>,
@@ -68,11 +64,7 @@ impl Reconstruct {
             folder.iter_mut().for_each(FrameFolder::keep);
         }
         if let Some(RefinedScene { refined, request, .. }) = &made.refined {
-            if refined.stop_reason == Some(StopReason::Cancelled) {
-                session.note(refinement::cancellation(self.output(), request, refined));
-                return Err(Error::Cancelled);
-            }
-            refinement::remove_checkpoint(request, refined);
+            refinement::conclude(session, self.output(), request, refined)?;
         }
         let found = made.forward.as_ref().and_then(|forward| forward.found.as_ref());
         if let (Some(path), Some(found)) = (&self.cameras_out, found) {
@@ -82,7 +74,7 @@ impl Reconstruct {
         Ok(())
     }
 
-    /// Returns the first camera if the scene is in the cameras' world.
+    /// First camera, if not the world.
     fn moved(&self, posed: Posed<'_>) -> Option<Pose> {
         posed.first().filter(|_| matches!(self.world, WorldName::InputCameras))
     }
@@ -95,7 +87,7 @@ impl Reconstruct {
     ) -> Result<(Value, String)> {
         let begin = Instant::now();
         let mut renderer = Renderer::new(&made.device);
-        // The host may have pruned or moved the scene.
+        // The host may have changed the scene.
         let as_made = made.refined.is_none() && self.moved(made.posed).is_none();
         let own = made.forward.as_ref().filter(|_| as_made).and_then(|forward| forward.on_device.as_ref());
         let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
@@ -153,7 +145,6 @@ impl Reconstruct {
 }
 
 impl Finished<'_> {
-    /// Times of all stages, of others, and `total`.
     fn times_in(&self, total: Duration) -> Vec<(String, Duration)> {
         let found =
             self.found.iter().flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took)));

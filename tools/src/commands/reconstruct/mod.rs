@@ -201,7 +201,7 @@ impl Reconstruct {
         self.report(session, made, drawn)
     }
 
-    /// Points for a refinement, in the first camera's world.
+    /// World: the first camera.
     fn cloud(&self, posed: Posed<'_>) -> Result<Option<PointCloud>> {
         match (self.refine.steps(), posed.poses, posed.first()) {
             (Some(_), Some(Capture { points: Some(points), .. }), Some(first)) => {
