@@ -1,7 +1,5 @@
 //! The network with every intermediate result of the goldens.
 
-use std::collections::BTreeMap;
-
 use super::backbone::block::{EPS, Options, block};
 use super::backbone::camera_encoder::{Prior, camera_tokens};
 use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
@@ -9,14 +7,11 @@ use super::backbone::features::{feature, prepare};
 use super::backbone::{block::mlp, patchify::*, rope, tokens::embed};
 use super::fuse::cross_attention::cross_attention;
 use super::gaussians::activate::activate;
-use super::model::Model;
+use super::model::{Model, Taps};
 use super::ops::add::add;
 use super::ops::split_heads::Keys;
 use super::ops::{gather_rows::gather_rows, place_columns::join_columns};
 use super::{vggt, widen};
-
-/// Intermediate results by golden key, such as `bb/block0`.
-pub type Taps = BTreeMap<String, Vec<f64>>;
 
 /// Of `norm1`, `norm2` and the final `norm`.
 const BACKBONE_EPS: f64 = 1e-6;

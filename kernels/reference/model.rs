@@ -6,6 +6,9 @@ use zipsplat_random::Random;
 use super::ops::layer_norm::layer_norm;
 use super::ops::linear::linear;
 
+/// Intermediate results by golden key, such as `bb/block0`.
+pub type Taps = BTreeMap<String, Vec<f64>>;
+
 /// Settings that parameter shapes do not determine.
 #[derive(Clone, Debug)]
 pub struct Architecture {

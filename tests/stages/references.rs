@@ -8,9 +8,14 @@ use zipsplat_tests::reference::ops::activation::{gelu, sigmoid, silu, softplus};
 use zipsplat_tests::reference::ops::split_heads::Keys;
 use zipsplat_tests::reference::render::project::{Camera, Gaussians, Splat, project};
 use zipsplat_tests::{
-    reference::backbone::patchify::Images, reference::forward, reference::forward::Tokens,
-    reference::gaussians::activate::activate, reference::model::Model, reference::ops::layer_norm::layer_norm,
-    reference::render::rasterize::render, reference::render::sh,
+    reference::backbone::patchify::Images,
+    reference::forward,
+    reference::forward::Tokens,
+    reference::gaussians::activate::activate,
+    reference::model::{Model, Taps},
+    reference::ops::layer_norm::layer_norm,
+    reference::render::rasterize::render,
+    reference::render::sh,
 };
 
 const STORED: Tolerance = Tolerance::STORED;
@@ -293,7 +298,7 @@ fn forward_pass(model: &Model, golden: &Golden) {
     assert_eq!(compared, taps.count(), "{}: every tap is compared", golden.file());
 }
 
-fn compare_taps(golden: &Golden, prefix: &str, taps: &forward::Taps) -> usize {
+fn compare_taps(golden: &Golden, prefix: &str, taps: &Taps) -> usize {
     let mut compared = 0;
     for (name, values) in taps {
         let key = format!("{prefix}{name}");

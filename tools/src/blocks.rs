@@ -2,7 +2,7 @@ use crate::{options::Size, table::counted};
 use clap::Args;
 use serde_json::{Value, json};
 use zipsplat::{
-    Error, Result,
+    Result,
     reconstruct::{Block, BlockLayout, BlockOptions, MAX_VIEWS, Model, ReconstructOptions, Seam, Shape},
     types::{Camera, Pose},
 };
@@ -46,12 +46,6 @@ impl BlockArgs {
         let layout = model.block_layout(views, [size.0, size.1], request)?;
         layout.blocks(request.cameras.as_deref(), request.scene_scale.unwrap_or(1.0), scale)
     }
-}
-
-/// Rejects token refinement, which takes one pass.
-pub fn refuse_tokens(blocks: usize) -> Result<()> {
-    let found = format!("{blocks} blocks of views");
-    if blocks > 1 { Err(Error::argument("--refine-target tokens", found, "views that fit in one")) } else { Ok(()) }
 }
 
 /// `None` for one block.

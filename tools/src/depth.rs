@@ -2,7 +2,7 @@
 
 use crate::{
     cameras::lenses,
-    options::{ArithmeticOption, Quality, Size, refuse},
+    options::{ArithmeticOption, DEPTH_WEIGHTS, Quality, Size, refuse},
     photos,
     session::{Session, Stage},
     table::counted,
@@ -31,7 +31,6 @@ use zipsplat::{
 pub const POINTS: usize = 200_000;
 
 /// In messages.
-pub const DEPTH_WEIGHTS: &str = "weights of Depth Anything 3 or VGGT";
 
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
 pub struct CamerasFrom {

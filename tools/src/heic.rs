@@ -1,6 +1,6 @@
 use crate::{
     decode::{AS_PPM, decode, exif_of, input, read_ppm, save_jpeg, save_jpeg_of_focal},
-    photos::unique_stems,
+    file_names::unique_stems,
     process,
     session::{Session, Stage},
 };

@@ -2,11 +2,11 @@
 
 use crate::{
     depth::PredictorOptions,
-    lifted::values_files,
+    file_names::{self, unique_stems},
+    lifted::{check_shape, values_files},
     npy,
     options::ArithmeticOption,
     outputs::DEPTH_LEVELS,
-    photos::{self, unique_stems},
     released::open_depth,
     session::{Session, Stage},
     stamp::{digest, stamp},
@@ -76,17 +76,17 @@ impl KnownDepth {
             _ if source.extension().is_some_and(|extension| extension == "json") => {
                 (DepthKind::Metric, listed(source, frames)?)
             }
-            (false, _) => (DepthKind::Relative, predict(session, photos::text(source)?, files, frames)?),
+            (false, _) => (DepthKind::Relative, predict(session, file_names::text(source)?, files, frames)?),
         };
         let known = sources.iter().flatten().count();
         if known == 0 {
-            let found = format!("none for {} and the other photos", photos::names(&files[..files.len().min(1)]));
+            let found = format!("none for {} and the other photos", file_names::names(&files[..files.len().min(1)]));
             return Err(absent(source, found));
         }
         if known < files.len() {
             let without = files.iter().zip(&sources).filter(|(_, source)| source.is_none());
             let without: Vec<PathBuf> = without.map(|(file, _)| file.clone()).collect();
-            session.note(format!("photos without depth: {}", photos::names(&without)));
+            session.note(format!("photos without depth: {}", file_names::names(&without)));
         }
         let map = |((source, frame), camera): ((Option<Source>, &&CaptureView), &Camera)| {
             Some(DepthMap { source: source?, photo: frame.camera.intrinsics, refined: camera.intrinsics })
@@ -189,16 +189,6 @@ fn read_file(file: &Path, photo: &Intrinsics, camera: &Intrinsics, unit: f64) ->
         return Err(Error::format(file, None, reason));
     }
     Ok(sampled(&values, &photo.resized(width, height), camera, unit))
-}
-
-/// The aspect ratio may differ by 1 %, or by a cell of a coarse grid.
-pub fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Result<()> {
-    let [across, down] = [(width, photo.height), (height, photo.width)].map(|(a, b)| f64::from(a) * f64::from(b));
-    if (across - down).abs() <= (0.01 * down).max(f64::from(photo.width.max(photo.height))) {
-        return Ok(());
-    }
-    let expected = format!("the shape of its photo, {}x{}", photo.width, photo.height);
-    Err(Error::argument(file.display().to_string(), format!("{width}x{height}"), expected))
 }
 
 fn malformed(file: &Path, found: impl Display, expected: &str) -> Error {

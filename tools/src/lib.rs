@@ -13,6 +13,7 @@ mod decode;
 mod depth;
 mod download;
 mod explain;
+mod file_names;
 mod heic;
 mod html;
 mod known_depth;

@@ -3,7 +3,6 @@
 use crate::{
     cameras::{Similarity, to_scene},
     depth::PredictorOptions,
-    known_depth::check_shape,
     npy,
     options::{ArithmeticOption, Network, Size, Weights},
     session::Session,
@@ -60,6 +59,16 @@ impl PosedPhotos {
 pub fn values_file(folder: &Path, photo: &str, extensions: &[&str]) -> Option<PathBuf> {
     let mut files = extensions.iter().flat_map(|extension| named_after(folder, Path::new(photo), extension));
     files.find(|file| file.is_file())
+}
+
+/// The aspect ratio may differ by 1 %, or by a cell of a coarse grid.
+pub fn check_shape(file: &Path, [width, height]: [u32; 2], photo: &Intrinsics) -> Result<()> {
+    let [across, down] = [(width, photo.height), (height, photo.width)].map(|(a, b)| f64::from(a) * f64::from(b));
+    if (across - down).abs() <= (0.01 * down).max(f64::from(photo.width.max(photo.height))) {
+        return Ok(());
+    }
+    let expected = format!("the shape of its photo, {}x{}", photo.width, photo.height);
+    Err(Error::argument(file.display().to_string(), format!("{width}x{height}"), expected))
 }
 
 /// Photos of equal names cannot share a file.

@@ -1,5 +1,4 @@
 use crate::{
-    depth::DEPTH_WEIGHTS,
     released::{self, is_of_depth, open_whole_depth},
     session::Session,
 };
@@ -14,6 +13,8 @@ use zipsplat::{
     types::{Camera, Image, Scene, open_file},
     weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
+
+pub const DEPTH_WEIGHTS: &str = "weights of Depth Anything 3 or VGGT";
 
 #[derive(Args)]
 pub struct Weights {

@@ -2,9 +2,9 @@
 
 use crate::{
     decode::save_jpeg_of_focal,
+    file_names::{names, unique_stems},
     masks::MaskArgs,
     outputs::make_folder,
-    photos::{names, unique_stems},
     session::Session,
 };
 use clap::ValueEnum;

@@ -1,5 +1,6 @@
 use crate::{
     cameras::KnownCameras,
+    file_names::{named, names, unique_stems},
     heic::{is_heic, to_jpeg},
     masks::MaskArgs,
     options::{Size, refuse},
@@ -26,7 +27,6 @@ use zipsplat::{
     types::{Image, Masks, PHOTO_EXTENSIONS, is_photo, natural_order, poses::CaptureView, preprocess::crop_to_aspect},
 };
 
-const NAMED: usize = 5;
 /// Share of the area that needs a warning.
 const CROPPED: f64 = 0.1;
 
@@ -230,14 +230,6 @@ fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
     named(&folders, |folder| folder.join("").display().to_string())
 }
 
-fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
-    let mut names: Vec<String> = paths.iter().take(NAMED).map(name).collect();
-    if paths.len() > NAMED {
-        names.push("...".into());
-    }
-    names.join(", ")
-}
-
 /// Keeps at most `views` photos with known cameras, each once per view.
 pub fn kept(
     session: &mut Session<'_>,
@@ -269,28 +261,6 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, known: &KnownCamer
         session.note(format!("{} left out, not among the cameras: {}", counted(others.len(), "photo"), names(&others)));
     }
     Ok(kept)
-}
-
-pub fn text(path: &Path) -> Result<&str> {
-    path.to_str().ok_or_else(|| {
-        Error::argument("name of a photo", format!("{path:?}"), "UTF-8, as files of cameras hold it: rename the photo")
-    })
-}
-
-/// Stems of file names; equal ones are numbered: `a-1`, `a-2`.
-pub fn unique_stems(files: &[impl AsRef<Path>]) -> Vec<String> {
-    let stem = |file: &Path| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let stems: Vec<String> = files.iter().map(|file| stem(file.as_ref())).collect();
-    let mut taken: HashSet<String> = stems.iter().cloned().collect();
-    let unique = |stem: &String| match stems.iter().filter(|other| *other == stem).count() {
-        1 => stem.clone(),
-        _ => (1..).map(|n| format!("{stem}-{n}")).find(|name| taken.insert(name.clone())).expect("endless"),
-    };
-    stems.iter().map(unique).collect()
-}
-
-pub fn names(files: &[PathBuf]) -> String {
-    named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
 /// At most `count`, evenly spread, ends included.
@@ -390,10 +360,5 @@ mod tests {
         assert_eq!(names(4, 6), ["0", "2", "3", "5"]);
         assert_eq!(names(1, 6), ["0"]);
         assert_eq!(names(6, 2), ["0", "1"]);
-    }
-
-    #[test]
-    fn stems_are_unique() {
-        assert_eq!(unique_stems(&["x/a.jpg", "y/a.png", "a-1.jpg", "b.jpg"]), ["a-2", "a-3", "a-1", "b"]);
     }
 }

@@ -1,6 +1,6 @@
 use super::{
     PerceptualLoss, RefineOptions,
-    exposure::{EXPOSURE_NUMBERS, Exposed},
+    exposed::{COLORS, EXPOSURE_NUMBERS, Exposed},
     views::View,
 };
 use crate::{
@@ -17,8 +17,6 @@ use crate::{
         },
     },
 };
-
-pub(super) const COLORS: usize = 3;
 
 /// A plan that renders photos' cameras and, in training, accumulates gradients.
 pub(super) struct PhotoPlan {

@@ -3,8 +3,9 @@ use std::ops::{ControlFlow, Deref};
 use std::path::Path;
 
 use super::contents::Contents;
+use super::save::save;
 use super::source::Bytes;
-use super::values::Values;
+use super::values::{Values, contents};
 use super::{Architecture, Dtype, inference, safetensors};
 use crate::ops::Arithmetic;
 use crate::types::preprocess::DEFAULT_SIZE;
@@ -113,7 +114,7 @@ impl Checkpoint {
         file: Bytes,
         architecture: impl FnOnce(&Contents, &Path) -> Result<Identified>,
     ) -> Result<Self> {
-        let contents = Contents::of(path, &file)?;
+        let contents = contents(path, &file)?;
         let (architecture, assumed) = architecture(&contents, path)?;
         let rounded = contents.doubles();
         let rounded = (rounded > 0).then(|| format!("{}: {rounded} tensors of f64 are rounded to f32", path.display()));
@@ -165,6 +166,6 @@ impl Checkpoint {
             (safetensors::ARCHITECTURE_KEY, serde_json::to_string(&self.architecture)),
             (safetensors::IMAGE_SIZE_KEY, Ok(self.image_size.to_string())),
         ];
-        safetensors::save(self, stated, path.as_ref(), dtype, progress)
+        save(self, stated, path.as_ref(), dtype, progress)
     }
 }

@@ -1,9 +1,8 @@
 use std::collections::HashMap;
-use std::path::Path;
 
 use super::tensor::{Stored, StoredDtype};
-use super::{Architecture, DepthArchitecture, safetensors, torch};
-use crate::{Result, types::preprocess::PATCH};
+use super::{Architecture, DepthArchitecture};
+use crate::types::preprocess::PATCH;
 
 pub(super) const MAX_IMAGE_SIZE: u32 = 8192;
 
@@ -54,11 +53,6 @@ pub(super) fn is_image_size(side: u32) -> bool {
 }
 
 impl Contents {
-    /// Reads safetensors or a `torch.save` archive.
-    pub fn of(path: &Path, file: &[u8]) -> Result<Self> {
-        if torch::is_archive(file) { torch::contents(path, file) } else { safetensors::contents(path, file) }
-    }
-
     pub fn axis(&self, name: &str, axis: usize) -> Option<usize> {
         self.tensors.get(name)?.shape.get(axis).copied()
     }

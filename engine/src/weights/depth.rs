@@ -2,8 +2,9 @@ use std::ops::{ControlFlow, Deref};
 use std::path::Path;
 
 use super::contents::Contents;
+use super::save::save;
 use super::source::Bytes;
-use super::values::Values;
+use super::values::{Values, contents};
 use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, safetensors, torch};
 use crate::{Error, Result, stages::MAX_DEPTH};
 
@@ -129,7 +130,7 @@ impl DepthCheckpoint {
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<()> {
         let stated = [(safetensors::DEPTH_ARCHITECTURE_KEY, serde_json::to_string(&self.architecture))];
-        safetensors::save(self, stated, path.as_ref(), dtype, progress)
+        save(self, stated, path.as_ref(), dtype, progress)
     }
 }
 
@@ -143,7 +144,7 @@ fn names(path: &Path) -> Result<Vec<String>> {
 
 fn opened(path: &Path) -> Result<(Bytes, Contents)> {
     let file = Bytes::open(path)?;
-    let mut found = Contents::of(path, &file)?;
+    let mut found = contents(path, &file)?;
     if found.tensors.keys().any(|name| name.starts_with(NESTED)) {
         let all = std::mem::take(&mut found.tensors).into_iter();
         let own = all.filter_map(|(name, tensor)| Some((format!("model.{}", name.strip_prefix(NESTED)?), tensor)));

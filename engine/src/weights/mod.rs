@@ -9,6 +9,7 @@ mod depth;
 mod inference;
 mod pickle;
 mod safetensors;
+mod save;
 mod seeded;
 mod source;
 mod tensor;

@@ -2,9 +2,9 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use super::contents::Contents;
-use super::safetensors;
 use super::source::{Bytes, Source};
 use super::tensor::Stored;
+use super::{safetensors, torch};
 use crate::ops::{ParameterSource, Q8};
 use crate::{Error, Result};
 
@@ -101,6 +101,11 @@ impl ParameterSource for Values {
     fn read_q8(&self, name: &str) -> Result<Q8> {
         self.read_q8(name)
     }
+}
+
+/// Reads safetensors or a `torch.save` archive.
+pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
+    if torch::is_archive(file) { torch::contents(path, file) } else { safetensors::contents(path, file) }
 }
 
 /// All parameters must have tensors.

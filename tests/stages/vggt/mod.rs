@@ -11,8 +11,8 @@ use zipsplat::types::{Fitting, bounded_views};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::backbone::{patchify::Images, positions};
-use zipsplat_tests::reference::forward::Taps;
 use zipsplat_tests::reference::model::Scope;
+use zipsplat_tests::reference::model::Taps;
 use zipsplat_tests::reference::ops::split_heads::Keys;
 use zipsplat_tests::reference::vggt::{self, Sizes};
 

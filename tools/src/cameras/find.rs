@@ -5,8 +5,8 @@ use super::{
 };
 use crate::{
     depth::{CamerasFrom, PredictedViews},
+    file_names::{names, text},
     outputs::{LOG_START, make_folder},
-    photos::{names, text},
     process,
     scratch::Scratch,
     session::Session,

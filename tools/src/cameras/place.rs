@@ -1,7 +1,7 @@
 use super::EstimatedCameras;
 use crate::{
+    file_names::text,
     outputs::{Overwrite, check_folder, make_folder},
-    photos::text,
 };
 use clap::Args;
 use std::path::{Path, PathBuf};

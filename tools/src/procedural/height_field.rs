@@ -1,7 +1,5 @@
 use glam::{Vec2, Vec3A, Vec3Swizzles};
 
-use super::shape::slab;
-
 const BLOCK: usize = 8;
 
 /// Heights over `[-half_side, half_side]` in x and y. A cell's diagonal joins low and high corners.
@@ -184,4 +182,12 @@ impl Walk {
     fn cell(&self, axis: usize, direction: Vec2, t: f32) -> isize {
         ((self.origin[axis] + direction[axis] * t - self.low) / self.step).floor() as isize
     }
+}
+
+/// Kay and Kajiya's slabs. For rays along a face, min and max drop NaN.
+pub(super) fn slab(origin: Vec3A, direction: Vec3A, half: Vec3A) -> Option<[f32; 2]> {
+    let inverse = direction.recip();
+    let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);
+    let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+    (enter <= leave).then_some([enter, leave])
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{Mat3A, Vec2, Vec3A, Vec3Swizzles};
 
-use super::height_field::HeightField;
+use super::height_field::{HeightField, slab};
 use super::material::Material;
 
 /// For rays that graze a torus.
@@ -142,14 +142,6 @@ fn axis_of(v: Vec3A) -> Vec3A {
     } else {
         Vec3A::Z * v.z.signum()
     }
-}
-
-/// Kay and Kajiya's slabs. For rays along a face, min and max drop NaN.
-pub(super) fn slab(origin: Vec3A, direction: Vec3A, half: Vec3A) -> Option<[f32; 2]> {
-    let inverse = direction.recip();
-    let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);
-    let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
-    (enter <= leave).then_some([enter, leave])
 }
 
 /// First positive end.

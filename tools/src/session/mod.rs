@@ -2,7 +2,7 @@ mod progress;
 
 pub use progress::Stage;
 
-use crate::{blocks::refuse_tokens, table::bytes};
+use crate::table::bytes;
 use clap::Args;
 use serde::Serialize;
 use std::{
@@ -270,6 +270,12 @@ impl<'a> Session<'a> {
         let line = if self.global.json { error_as_json(&text, kind, code) } else { format!("error: {text}") };
         let _ = writeln!(self.terminal.err, "{line}");
     }
+}
+
+/// Rejects token refinement, which takes one pass.
+pub fn refuse_tokens(blocks: usize) -> Result<()> {
+    let found = format!("{blocks} blocks of views");
+    if blocks > 1 { Err(Error::argument("--refine-target tokens", found, "views that fit in one")) } else { Ok(()) }
 }
 
 pub fn stage_seconds(times: &[(impl ToString, Duration)]) -> serde_json::Value {

@@ -1,17 +1,16 @@
 use super::{
-    Live, Watched,
+    Live,
     cameras::{InputCamera, QUALITY},
-    live::{LiveScene, Source},
-    page::{ShownScene, View},
-    watched::{SHOWN, Target},
+    live::Source,
+    page::View,
 };
 use crate::{
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
     html::data_url,
-    options::{Antialiasing, Quality, Weights, parse_length},
+    options::{Quality, Weights, parse_length},
     photos::{self, Photographed, Reading},
-    refinement::{Initialization, RefineArgs, placed},
+    refinement::RefineArgs,
     session::Session,
     table::counted,
     video::FrameFolder,
@@ -20,16 +19,12 @@ use crate::{
 use clap::Args;
 use std::{
     path::{Path, PathBuf},
-    sync::{
-        Mutex,
-        atomic::{AtomicBool, AtomicU64},
-    },
+    sync::{Mutex, atomic::AtomicU64},
 };
 use zipsplat::{
     Error, Result,
     gpu::Progress,
     reconstruct::{MAX_VIEWS, Ratio},
-    refine::RefineOptions,
     types::{
         Camera, PointCloud, Pose,
         poses::{Capture, CaptureView, read_cloud},
@@ -62,7 +57,7 @@ pub struct FromPhotos {
     #[arg(long, value_name = "R,R,..", value_delimiter = ',')]
     pub ratios: Vec<f64>,
     #[command(flatten)]
-    refine: RefineArgs,
+    pub(super) refine: RefineArgs,
 }
 
 /// Default and maximum number.
@@ -76,7 +71,7 @@ pub struct Ready<'a> {
     pub(super) names: Vec<String>,
     pub(super) photos: Vec<PathBuf>,
     pub(super) frames: Vec<CaptureView>,
-    cloud: Option<PointCloud>,
+    pub(super) cloud: Option<PointCloud>,
     _folder: Option<FrameFolder>,
 }
 
@@ -200,52 +195,6 @@ impl FromPhotos {
         ratios.sort_by(|a, b| b.total_cmp(a));
         ratios.dedup_by_key(|ratio| ((*ratio * tokens as f64) as usize).max(1));
         Ok(ratios)
-    }
-
-    pub fn watched(
-        &self,
-        session: &mut Session<'_>,
-        ready: &Ready<'_>,
-        antialiasing: Antialiasing,
-    ) -> Result<Option<Watched>> {
-        let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
-        let live = &ready.live;
-        let to_scene = first.camera.pose.inverse();
-        let camera = |frame: &CaptureView| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
-        let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
-        let frames: Vec<&CaptureView> = ready.frames.iter().collect();
-        let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
-        let (target, tokens) = if steps.tokens {
-            let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
-            (Target::Tokens(live.tokens()?), Some(shown))
-        } else {
-            let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
-            let from = Initialization::or_best(self.refine.settings.init, cloud.as_ref(), self.weights.is_builtin());
-            let (scene, shown) = if from.needs()[0] {
-                made().map(|LiveScene { scene, shown }| (Some(scene), Some(shown)))?
-            } else {
-                (None, None)
-            };
-            (
-                Target::Scene(from.scene(scene, cloud.as_ref(), &cameras)?),
-                shown.filter(|_| from == Initialization::Scene),
-            )
-        };
-        let settings = &self.refine.settings;
-        let known = settings.known_depth(session, &ready.photos, &frames, &cameras, 1.0)?;
-        let request = settings.request(steps, antialiasing, known.as_ref().map(|known| known.kind), &ready.photos);
-        let tokens = tokens.filter(|_| request.max_gaussians.is_none());
-        let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
-        Ok(Some(Watched {
-            target,
-            tokens,
-            masks: self.finding.masks(),
-            known,
-            cameras,
-            request: RefineOptions { snapshots: SHOWN, ..request },
-            now: Mutex::default(),
-            stop: AtomicBool::new(false),
-        }))
     }
 }
 

@@ -1,7 +1,7 @@
 use super::{FromPhotos, cameras::InputCamera, page::ShownScene, photos::input_cameras};
 use crate::{
-    depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras},
-    options::refuse,
+    depth::{PredictorOptions, check_finds_cameras},
+    options::{DEPTH_WEIGHTS, refuse},
     photos::Photographed,
     session::{Session, Stage},
     video::FrameFolder,

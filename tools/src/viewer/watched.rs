@@ -1,8 +1,15 @@
-use super::{live::LiveScene, page::ShownScene, photos::Ready};
+use super::{
+    live::LiveScene,
+    page::ShownScene,
+    photos::{FromPhotos, Ready},
+};
 use crate::{
     known_depth::{KnownDepth, WithDepth},
+    options::Antialiasing,
     photos::PhotoFiles,
     process::lock,
+    refinement::{Initialization, placed},
+    session::Session,
 };
 use serde::Serialize;
 use std::{
@@ -54,6 +61,54 @@ pub(super) struct Now {
     ended: Option<String>,
     #[serde(skip)]
     scene: Option<Scene>,
+}
+
+impl FromPhotos {
+    pub fn watched(
+        &self,
+        session: &mut Session<'_>,
+        ready: &Ready<'_>,
+        antialiasing: Antialiasing,
+    ) -> Result<Option<Watched>> {
+        let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
+        let live = &ready.live;
+        let to_scene = first.camera.pose.inverse();
+        let camera = |frame: &CaptureView| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
+        let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
+        let frames: Vec<&CaptureView> = ready.frames.iter().collect();
+        let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
+        let (target, tokens) = if steps.tokens {
+            let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
+            (Target::Tokens(live.tokens()?), Some(shown))
+        } else {
+            let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
+            let from = Initialization::or_best(self.refine.settings.init, cloud.as_ref(), self.weights.is_builtin());
+            let (scene, shown) = if from.needs()[0] {
+                made().map(|LiveScene { scene, shown }| (Some(scene), Some(shown)))?
+            } else {
+                (None, None)
+            };
+            (
+                Target::Scene(from.scene(scene, cloud.as_ref(), &cameras)?),
+                shown.filter(|_| from == Initialization::Scene),
+            )
+        };
+        let settings = &self.refine.settings;
+        let known = settings.known_depth(session, &ready.photos, &frames, &cameras, 1.0)?;
+        let request = settings.request(steps, antialiasing, known.as_ref().map(|known| known.kind), &ready.photos);
+        let tokens = tokens.filter(|_| request.max_gaussians.is_none());
+        let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
+        Ok(Some(Watched {
+            target,
+            tokens,
+            masks: self.finding.masks(),
+            known,
+            cameras,
+            request: RefineOptions { snapshots: SHOWN, ..request },
+            now: Mutex::default(),
+            stop: AtomicBool::new(false),
+        }))
+    }
 }
 
 impl Watched {

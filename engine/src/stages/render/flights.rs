@@ -1,18 +1,12 @@
 //! Pipelined rendering: the device draws ahead of the host.
 
 use super::{
-    CameraRows, FrameShape, RenderOptions, RenderOutput, Renderer, camera_rows, planned::Destination, range::check,
+    CameraRows, FrameShape, RenderOptions, RenderOutput, Renderer, camera_rows,
+    planned::{Destination, pictures_per_batch},
+    range::check,
 };
 use crate::{Error, Result, gpu::Arena, types::Camera};
 use std::{collections::VecDeque, ops::Range};
-
-const PIXELS_TOGETHER: usize = 1 << 20;
-const PAIRS_TOGETHER: usize = 1 << 21;
-
-pub(super) fn pictures_per_batch(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
-    let pixels = width as usize * height as usize;
-    most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
-}
 
 struct Flight {
     cameras: Range<usize>,

@@ -1,6 +1,6 @@
 use super::{
     CameraRows, DeviceScene, FrameInputs, FrameShape, PixelLayout, PlanKey, RenderOptions, RenderOutput, RenderOutputs,
-    SceneTensors, first_capacity, flights::pictures_per_batch, planned_capacity,
+    SceneTensors, first_capacity, planned_capacity,
 };
 use crate::{
     Result,
@@ -8,6 +8,8 @@ use crate::{
 };
 
 /// Fills a GPU; CPUs cache best with one.
+const PIXELS_TOGETHER: usize = 1 << 20;
+const PAIRS_TOGETHER: usize = 1 << 21;
 const GPU_TOGETHER: usize = 8;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -43,6 +45,11 @@ pub fn plan_pictures(
     let capacity = planned_capacity(limits.max_binding_bytes, first_capacity(scene.len), shape, false);
     FrameInputs { scene, cameras: rows, shape, options, capacity }.record(&mut rec);
     rec.finish()
+}
+
+pub(super) fn pictures_per_batch(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
+    let pixels = width as usize * height as usize;
+    most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
 }
 
 pub(super) fn batch_size(limits: &Limits) -> usize {

@@ -1,7 +1,7 @@
 mod summary;
 
 use crate::{
-    depth::DEPTH_WEIGHTS,
+    options::DEPTH_WEIGHTS,
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse, refuse_all},
     outputs::{self, Overwrite, size_of},
     released::{is_of_depth, open_complete_depth},

@@ -3,11 +3,12 @@ mod truth;
 use crate::{
     cameras::{ModelOption, path_from},
     depth::{CamerasFrom, PredictedViews, PredictorOptions},
+    file_names::{self, unique_stems},
     known_depth::{PHOTOS, VALUES},
     masks::MaskArgs,
     options::ArithmeticOption,
     outputs::{Overwrite, check_folder, make_folder, save_depth, save_picture},
-    photos::{self, PhotoArgs, unique_stems},
+    photos::{self, PhotoArgs},
     released::open_depth,
     session::{Session, stage_seconds},
     table::{counted, time},
@@ -119,7 +120,7 @@ impl Depth {
         predicted.scale(self.metric, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
         let errors = truth.map(|truth| truth.errors(&predicted, self.cameras.is_none())).transpose()?;
         if !predicted.lost.is_empty() {
-            session.note(format!("without a camera, and left out: {}", photos::names(&predicted.lost)));
+            session.note(format!("without a camera, and left out: {}", file_names::names(&predicted.lost)));
         }
 
         make_folder(&self.output)?;

@@ -1,4 +1,9 @@
-use super::{Eval, Scaling, alignment::Alignment, external_scene::depth_scene};
+use super::{
+    Eval, Scaling,
+    alignment::Alignment,
+    external_scene::depth_scene,
+    reconstruction::{Network, Reconstruction},
+};
 use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::{DepthPredictor, PredictorOptions},
@@ -8,16 +13,15 @@ use crate::{
     session::Session,
     views::Seeing,
 };
-use std::{path::Path, time::Duration};
+use std::path::Path;
 use zipsplat::{
     Error, Result,
-    gpu::{Arena, Device, StageTimes},
+    gpu::{Arena, Device},
     ops::{Arithmetic, Precision},
     perceptual::Perceptual,
     reconstruct::Model,
     refine::{FrozenHead, RefineLength, RefineResult, StopReason},
     stages::render::Renderer,
-    types::Scene,
     weights::{Checkpoint, DepthHeads},
 };
 
@@ -46,28 +50,6 @@ pub struct Evaluation {
     pub drawn: Vec<Vec<f32>>,
     pub scores: Vec<Score>,
     pub alignment: Option<Alignment>,
-}
-
-/// World: the first input's camera; unit: the network's.
-pub struct Reconstruction {
-    pub scene: Scene,
-    pub network: Option<Network>,
-    pub refined: Option<RefineResult>,
-    pub started: &'static str,
-}
-
-pub struct Network {
-    pub tokens: usize,
-    pub all_tokens: usize,
-    pub peak_bytes: u64,
-    pub took: Duration,
-    pub stages: StageTimes,
-}
-
-impl Reconstruction {
-    pub fn given(scene: Scene) -> Self {
-        Self { scene, network: None, refined: None, started: "" }
-    }
 }
 
 impl<'a> Evaluator<'a> {

@@ -1,4 +1,4 @@
-use super::evaluator::Reconstruction;
+use super::reconstruction::Reconstruction;
 use crate::{
     cameras::Similarity,
     capture::{Choice, ViewSplit},

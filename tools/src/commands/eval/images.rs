@@ -1,5 +1,6 @@
 use super::Eval;
 use crate::{
+    file_names,
     metrics::{self, masked_ssim, psnr, values},
     options::refuse_all,
     outputs, photos,
@@ -106,7 +107,11 @@ fn pairs_of_folders(eval: &Eval, sets: [&PathBuf; 2], session: &mut Session<'_>)
         return Err(Error::argument("pictures of the same name", found, "at least one"));
     }
     if !alone.is_empty() {
-        session.note(format_args!("{} without a partner: {}", counted(alone.len(), "picture"), photos::names(&alone)));
+        session.note(format_args!(
+            "{} without a partner: {}",
+            counted(alone.len(), "picture"),
+            file_names::names(&alone)
+        ));
     }
     if let Some(folder) = &eval.difference {
         outputs::make_folder(folder)?;

@@ -5,6 +5,7 @@ mod images;
 mod one;
 mod page;
 mod pixels;
+mod reconstruction;
 mod rows;
 mod series;
 

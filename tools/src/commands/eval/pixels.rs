@@ -1,13 +1,14 @@
 use super::{
     Eval,
-    evaluator::{Evaluator, Network, Reconstruction},
+    evaluator::Evaluator,
     external_scene::{aligned, place},
+    reconstruction::{Network, Reconstruction},
 };
 use crate::{
     cameras::Similarity,
     capture::{Choice, ViewSplit},
-    depth::{DEPTH_WEIGHTS, PredictorOptions, check_finds_cameras, square},
-    options::{Size, refuse_all},
+    depth::{PredictorOptions, check_finds_cameras, square},
+    options::{DEPTH_WEIGHTS, Size, refuse_all},
     session::Session,
     views::Crop,
 };

@@ -3,8 +3,8 @@ use super::{
     forward::{Forward, LOAD_WEIGHTS, rate},
 };
 use crate::{
-    depth::{DEPTH_WEIGHTS, PredictedViews, PredictorOptions},
-    options::refuse_all,
+    depth::{PredictedViews, PredictorOptions},
+    options::{DEPTH_WEIGHTS, refuse_all},
     session::Session,
     table::counted,
     views::Crop,

@@ -1,4 +1,4 @@
-use crate::{cameras::path_from, options::Size, outputs::make_folder, photos::names, table::counted};
+use crate::{cameras::path_from, file_names::names, options::Size, outputs::make_folder, table::counted};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{

@@ -2,10 +2,10 @@ use super::Reconstruct;
 use crate::{
     blocks,
     cameras::KnownCameras,
-    depth::{DEPTH_WEIGHTS, square},
-    options::{ArithmeticOption, Network as Weights, Quality, Size, refuse_all},
+    depth::square,
+    options::{ArithmeticOption, DEPTH_WEIGHTS, Network as Weights, Quality, Size, refuse_all},
     photos,
-    session::Session,
+    session::{Session, refuse_tokens},
     table::{Table, bytes, counted},
 };
 use indicatif::HumanCount;
@@ -79,7 +79,7 @@ fn show_tokens(
         let a = checkpoint.architecture();
         let gaussians = Moved::Gaussians(joined.len, joined.sh_degree);
         let passes = if steps.tokens { blocks.count } else { 1 };
-        blocks::refuse_tokens(passes)?;
+        refuse_tokens(passes)?;
         let moved = if steps.tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
         plan_refinement(
             &limits,

@@ -12,8 +12,8 @@ use zipsplat::{
     weights::Checkpoint,
 };
 use zipsplat_reference::{
-    forward::{self, Taps, Tokens},
-    model::Model as Reference,
+    forward::{self, Tokens},
+    model::{Model as Reference, Taps},
 };
 use zipsplat_verify::network;
 

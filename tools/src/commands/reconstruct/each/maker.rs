@@ -3,9 +3,10 @@
 use super::{Batch, Reconstruct};
 use crate::{
     blocks,
-    depth::{DEPTH_WEIGHTS, DepthPredictor, PreparedPhotos, check_finds_cameras},
-    options::{Size, refuse},
-    outputs, photos,
+    depth::{DepthPredictor, PreparedPhotos, check_finds_cameras},
+    file_names,
+    options::{DEPTH_WEIGHTS, Size, refuse},
+    outputs,
     session::{Session, Stage},
     views::{Crop, Views},
 };
@@ -156,7 +157,9 @@ impl<'a> Maker<'a> {
                 let scene = predicted.scene(&pose, batch.command.quality.kept())?;
                 let world = World::of_first(&predicted.frames()?.iter().collect::<Vec<_>>());
                 if !predicted.lost.is_empty() {
-                    predicted.notes.push(format!("without a camera, and left out: {}", photos::names(&predicted.lost)));
+                    predicted
+                        .notes
+                        .push(format!("without a camera, and left out: {}", file_names::names(&predicted.lost)));
                 }
                 let note = (!predicted.notes.is_empty()).then(|| predicted.notes.join("; "));
                 let record = json!({ "network": predicted.network, "tokens": predicted.patches()[0], "note": note });

@@ -2,6 +2,7 @@ mod maker;
 
 use super::{CAPTURE, Reconstruct};
 use crate::{
+    file_names,
     options::{Network, Quality},
     outputs::{self, FAILURES, Failure},
     panorama, photos,
@@ -167,7 +168,7 @@ impl<'a> Batch<'a> {
         }
         if !others.is_empty() {
             let what = format!("{} without PNG, JPEG or WebP left out", counted(others.len(), "folder"));
-            session.note(format!("{what}: {}", photos::names(&others)));
+            session.note(format!("{what}: {}", file_names::names(&others)));
         }
         if captures.is_empty() {
             let expected = "a folder with photos, directly or in images/, or a folder of such folders";
