@@ -1,4 +1,5 @@
 use crate::source::{Source, files, paths, tokens};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Each uses only those before it; the first four are crates. `error` is `Error` and `Result`. The
 /// crates enforce the rest: only `engine/gpu` uses Vulkan, and of the engine the references use
@@ -26,14 +27,25 @@ const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 const UNSAFE: [&str; 5] =
     ["engine/build.rs", "engine/gpu/src/", "engine/bindings/c/src/", "engine/src/weights/source.rs", "tests/abi/"];
 
+/// Folders of crates.
+const ROOTS: [&str; 7] = [
+    "engine/src/",
+    "engine/gpu/src/",
+    "engine/formats/src/",
+    "engine/bindings/c/src/",
+    "tools/src/",
+    "kernels/verify/",
+    "kernels/reference/",
+];
+
 fn engine() -> Vec<Source> {
     files("engine/src", "rs")
 }
 
 /// `stages/backbone/mod.rs` is `[stages, backbone]`.
 fn module(path: &str) -> Vec<&str> {
-    let inside = path.trim_start_matches("engine/src/").trim_end_matches(".rs");
-    inside.split('/').filter(|part| *part != "mod").collect()
+    let inside = ROOTS.iter().find_map(|root| path.strip_prefix(root)).unwrap_or(path).trim_end_matches(".rs");
+    inside.split('/').filter(|part| !["mod", "lib"].contains(part)).collect()
 }
 
 /// Outside unit tests.
@@ -85,6 +97,42 @@ fn layers_use_only_those_before() {
         problems.extend(wrong);
     }
     assert!(problems.is_empty(), "\n{}", problems.join("\n"));
+}
+
+/// Modules of circles with the others that each uses. Parents and children do not count.
+fn circles(sources: &[Source]) -> BTreeMap<String, BTreeSet<String>> {
+    let modules: BTreeSet<String> = sources.iter().map(|source| module(&source.path).join("/")).collect();
+    let uses = |source: &Source| {
+        let own = module(&source.path).join("/");
+        let named =
+            |path: Vec<String>| (1..=path.len()).rev().map(|i| path[..i].join("/")).find(|m| modules.contains(m));
+        let is_apart =
+            |m: &String| !format!("{own}/").starts_with(&format!("{m}/")) && !m.starts_with(&format!("{own}/"));
+        let others = used(source).into_iter().filter_map(named).filter(is_apart).collect();
+        (own, others)
+    };
+    let mut left: BTreeMap<String, BTreeSet<String>> = sources.iter().map(uses).collect();
+    loop {
+        let before: BTreeSet<String> = left.keys().cloned().collect();
+        left.retain(|_, others| others.intersection(&before).next().is_some());
+        if left.len() == before.len() {
+            return left;
+        }
+    }
+}
+
+#[test]
+fn modules_form_no_circles() {
+    for root in ROOTS {
+        let found = circles(&files(root.trim_end_matches('/'), "rs"));
+        assert!(found.is_empty(), "{root}: {found:?}");
+    }
+    let source = |path: &str, text: &str| Source { path: path.into(), text: text.into() };
+    let [a, b] =
+        [source("tools/src/a/mod.rs", "mod c; use crate::b::B;"), source("tools/src/b.rs", "use super::a::c::C;")];
+    let c = |text| source("tools/src/a/c.rs", text);
+    assert!(circles(&[a.clone(), b.clone(), c("use super::A;")]).is_empty());
+    assert_eq!(circles(&[a, b, c("use crate::b;")]).len(), 3);
 }
 
 #[test]

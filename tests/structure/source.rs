@@ -1,6 +1,7 @@
 use std::fs;
 use std::path::Path;
 
+#[derive(Clone)]
 pub struct Source {
     /// Below the repository's root, with slashes.
     pub path: String,
