@@ -27,7 +27,6 @@ const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 const UNSAFE: [&str; 5] =
     ["engine/build.rs", "engine/gpu/src/", "engine/bindings/c/src/", "engine/src/weights/source.rs", "tests/abi/"];
 
-/// Folders of crates.
 const ROOTS: [&str; 7] = [
     "engine/src/",
     "engine/gpu/src/",
@@ -99,7 +98,7 @@ fn layers_use_only_those_before() {
     assert!(problems.is_empty(), "\n{}", problems.join("\n"));
 }
 
-/// Modules of circles with the others that each uses. Parents and children do not count.
+/// Uses within circles, except of parents and children.
 fn circles(sources: &[Source]) -> BTreeMap<String, BTreeSet<String>> {
     let modules: BTreeSet<String> = sources.iter().map(|source| module(&source.path).join("/")).collect();
     let uses = |source: &Source| {

@@ -196,7 +196,7 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
     options.max_gaussians.map_or(Ok(()), |most| Err(refused(most)))
 }
 
-/// Creates Gaussians, with their scene and its distance.
+/// Creates Gaussians, their scene and its distance.
 type Make<'a> = dyn Fn(&Arena, &RefineOptions) -> Result<(Gaussians, Scene, f64)> + 'a;
 
 struct Initial<'a> {

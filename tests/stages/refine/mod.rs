@@ -73,7 +73,7 @@ fn needles_become_shorter() {
     assert!(largest < 5.001, "{largest}");
 }
 
-/// White photos make Gaussians wide enough to veil cameras beside them.
+/// White photos widen Gaussians until they veil cameras.
 #[test]
 fn floaters_are_cleared_without_growth() {
     let cameras = cameras(4);
@@ -81,7 +81,7 @@ fn floaters_are_cleared_without_growth() {
     let white = photos.iter().map(|photo| Image { rgb: vec![255; photo.rgb.len()], ..photo.clone() });
     let white: Vec<Image> = white.collect();
     let default = LearningRates::default();
-    // Largest standard deviation over the distance from the nearest camera.
+    // Standard deviation over distance from a camera.
     let widest = |steps: usize| {
         let request = RefineOptions {
             length: RefineLength::Steps(steps),

@@ -80,7 +80,7 @@ impl FrameInputs<'_> {
         self.record_in(rec, None)
     }
 
-    /// As [`Self::record`], or with pixels in a layout for [`Run::present`].
+    /// As [`Self::record`], or as pixels for [`Run::present`].
     fn record_in(self, rec: &mut Recorder, layout: Option<PixelLayout>) -> RenderOutputs {
         rec.scope("render", |rec| {
             let (_, lists, mut frames) = self.draw(rec);

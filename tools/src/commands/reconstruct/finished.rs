@@ -28,6 +28,8 @@ use zipsplat::{
 pub struct Finished<'a> {
     pub posed: Posed<'a>,
     pub found: Option<EstimatedCameras>,
+    /// Of cameras and scene.
+    pub one_pass: bool,
     pub forward: Option<Forward>,
     pub refined: Option<RefinedScene>,
     pub device: Device,
@@ -146,8 +148,8 @@ impl Reconstruct {
 
 impl Finished<'_> {
     fn times_in(&self, total: Duration) -> Vec<(String, Duration)> {
-        let found =
-            self.found.iter().flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took)));
+        let found = self.found.iter().filter(|_| !self.one_pass).flat_map(|found| &found.times);
+        let found = found.map(|(step, took)| ((*step).to_owned(), *took));
         let forward = self.forward.iter().flat_map(|forward| forward.times.clone());
         let refined = self.refined.iter().map(|made| ("refine".to_owned(), made.refined.took));
         let mut times: Vec<_> = found.chain(forward).chain(refined).chain(self.times.iter().cloned()).collect();

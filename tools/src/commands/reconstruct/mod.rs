@@ -194,8 +194,8 @@ impl Reconstruct {
         let refined = steps.zip(init).map(refine).transpose()?;
         let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
         let Some(scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
-        let found = found.filter(|_| !self.finds_by_itself(&network));
-        let mut made = Finished { posed, found, forward, refined, device, scene, times: Vec::new() };
+        let one_pass = self.finds_by_itself(&network);
+        let mut made = Finished { posed, found, one_pass, forward, refined, device, scene, times: Vec::new() };
         self.save(session, &mut made, &mut folder)?;
         let drawn = drawing.map(|drawing| self.draw(session, &mut made, &drawing)).transpose()?;
         self.report(session, made, drawn)
