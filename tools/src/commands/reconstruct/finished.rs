@@ -28,7 +28,7 @@ use zipsplat::{
 pub struct Finished<'a> {
     pub posed: Posed<'a>,
     pub found: Option<EstimatedCameras>,
-    /// Of cameras and scene.
+    /// For cameras and scene.
     pub one_pass: bool,
     pub forward: Option<Forward>,
     pub refined: Option<RefinedScene>,
