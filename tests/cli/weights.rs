@@ -13,7 +13,7 @@ use zipsplat::weights::Checkpoint;
 use zipsplat_cli::cancelled_by_signals;
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
-const GET: &str = "weights get zipsplat --yes --timeout 0.3";
+const GET: &str = "weights get zipsplat --yes --timeout 2";
 const PART: &str = "zipsplat-da3g-252p.tar.part";
 
 #[test]
@@ -133,7 +133,7 @@ fn weights_of_depth_stay_as_they_are() {
     for name in ["da3-large", "vggt-1b"] {
         place.run(&format!("weights get {name}")).fails(3, &["no --yes", "CC BY-NC 4.0", "no commercial use"]);
     }
-    let got = place.run("weights get da3-small --yes --timeout 0.3 --json");
+    let got = place.run("weights get da3-small --yes --timeout 2 --json");
     assert!(got.err.contains("Apache-2.0"), "{}", got.err);
     let path = got.json()["path"].as_str().expect("a path").to_owned();
     assert_eq!(host.ranges(), [String::new(), format!("bytes={third}-")]);

@@ -14,7 +14,7 @@ pub(crate) struct Instance {
     messenger: vk::DebugUtilsMessengerEXT,
     pub messages: Box<Mutex<Vec<String>>>,
     layer_version: Option<u32>,
-    owned: bool,
+    pub(super) owned: bool,
     pub entry: ash::Entry,
 }
 

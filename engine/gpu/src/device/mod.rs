@@ -90,7 +90,6 @@ pub(crate) struct Shared {
     pub lost: AtomicBool,
     pub pipelines: Pipelines,
     allocator: Mutex<Option<Allocator>>,
-    owned: bool,
     pub instance: Instance,
 }
 
@@ -228,12 +227,12 @@ impl Shared {
         // SAFETY: the queue was requested above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
         let mut shared = Self::new(instance, physical, raw, queue, family, limits, support.subgroup_control)?;
-        (shared.owned, shared.force_staging) = (true, options.force_staging);
+        shared.force_staging = options.force_staging;
         shared.cache_dir.clone_from(&options.cache_dir);
         Ok(shared)
     }
 
-    /// Wraps a device that the caller owns.
+    /// Wraps a device, owned as its instance is.
     fn new(
         instance: Instance,
         physical: vk::PhysicalDevice,
@@ -243,17 +242,8 @@ impl Shared {
         limits: Limits,
         subgroup_control: bool,
     ) -> Result<Self> {
-        let allocator = Allocator::new(&AllocatorCreateDesc {
-            instance: instance.raw.clone(),
-            device: raw.clone(),
-            physical_device: physical,
-            debug_settings: Default::default(),
-            buffer_device_address: limits.addresses,
-            allocation_sizes: Default::default(),
-        })
-        .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;
         let debug = instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw));
-        Ok(Self {
+        let shared = Self {
             queue,
             family,
             allocated: AtomicU64::new(0),
@@ -264,12 +254,22 @@ impl Shared {
             passed_over: Vec::new(),
             lost: AtomicBool::new(false),
             pipelines: Pipelines::new(raw.clone(), debug, limits.subgroup_size, subgroup_control),
-            allocator: Mutex::new(Some(allocator)),
-            owned: false,
+            allocator: Mutex::default(),
             raw,
             limits,
             instance,
-        })
+        };
+        let allocator = Allocator::new(&AllocatorCreateDesc {
+            instance: shared.instance.raw.clone(),
+            device: shared.raw.clone(),
+            physical_device: physical,
+            debug_settings: Default::default(),
+            buffer_device_address: shared.limits.addresses,
+            allocation_sizes: Default::default(),
+        });
+        let failed = |e| Error::Driver { call: "gpu_allocator::Allocator::new", result: format!("{e}") };
+        *lock(&shared.allocator) = Some(allocator.map_err(failed)?);
+        Ok(shared)
     }
 
     pub fn allocator(&self) -> AllocatorGuard<'_> {
@@ -295,7 +295,7 @@ impl Drop for Shared {
         unsafe {
             self.pipelines.destroy();
             drop(lock(&self.allocator).take());
-            if self.owned {
+            if self.instance.owned {
                 self.raw.destroy_device(None);
             }
         }
