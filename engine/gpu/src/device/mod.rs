@@ -232,7 +232,7 @@ impl Shared {
         Ok(shared)
     }
 
-    /// Wraps a device, owned as its instance is.
+    /// Owned as its instance is.
     fn new(
         instance: Instance,
         physical: vk::PhysicalDevice,
