@@ -18,7 +18,7 @@ const SOURCES: [&str; 18] = [
     "reconstruction",
     "reconstruct",
     "depth",
-    "refine",
+    "refine/mod",
     "renderer",
     "gradients",
     "features",
