@@ -98,7 +98,7 @@ fn layers_use_only_those_before() {
     assert!(problems.is_empty(), "\n{}", problems.join("\n"));
 }
 
-/// Uses within circles.
+/// Modules in circles, with their uses.
 fn circles(sources: &[Source]) -> BTreeMap<String, BTreeSet<String>> {
     let modules: BTreeSet<String> = sources.iter().map(|source| module(&source.path).join("/")).collect();
     let uses = |source: &Source| {

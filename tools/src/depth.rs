@@ -30,8 +30,6 @@ use zipsplat::{
 
 pub const POINTS: usize = 200_000;
 
-/// In messages.
-
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
 pub struct CamerasFrom {
     /// Source of the cameras that a depth network estimates

@@ -19,7 +19,7 @@ use std::{
 
 const VERSION_KEY: &str = "version";
 const REMEDY: &str = "; delete the file to start over";
-const VERSION: &str = concat!("2 of zipsplat ", env!("CARGO_PKG_VERSION"));
+const VERSION: &str = concat!("3 of zipsplat ", env!("CARGO_PKG_VERSION"));
 
 /// Checkpoint file; a refinement resumes from an existing one.
 #[derive(Clone, Debug, PartialEq)]

@@ -16,7 +16,6 @@ const RATIO: f64 = 0.3;
 /// Fewest initial Gaussians around a cell, and the quantile of depths for fewer.
 const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
-const SAMPLE: usize = 65_536;
 /// Largest factor of a floater's distance and size; others become invisible.
 const MOST_PUSHED: f64 = 10.0;
 /// Mahalanobis radius of a Gaussian for cameras inside it.
@@ -41,7 +40,7 @@ pub(super) struct FreeSpace {
     around: Vec<bool>,
 }
 
-/// Correction of floaters.
+/// Correction of a floater.
 #[derive(Clone, Copy)]
 enum Correction {
     Hide,
@@ -183,12 +182,10 @@ fn least_depths(scene: &Scene, camera: &Camera) -> Depths {
     let mut cells = [[(f64::INFINITY, 0); CELLS]; CELLS];
     let mut depths = Vec::new();
     let seen = scene.means.iter().filter(|mean| depth(camera, mean) > 0.0).filter_map(|mean| cell(camera, mean));
-    for (i, ([row, column], depth)) in seen.enumerate() {
+    for ([row, column], depth) in seen {
         let (least, count) = &mut cells[row][column];
         (*least, *count) = (depth.min(*least), *count + 1);
-        if i.is_multiple_of(scene.len().div_ceil(SAMPLE)) {
-            depths.push(depth);
-        }
+        depths.push(depth);
     }
     let rank = (QUANTILE * depths.len() as f64) as usize;
     let other = if depths.is_empty() { 0.0 } else { *depths.select_nth_unstable_by(rank, f64::total_cmp).1 };
@@ -206,7 +203,6 @@ fn largest(depths: &Depths) -> f64 {
     depths.as_flattened().iter().copied().fold(0.0, f64::max)
 }
 
-/// Faster than a projection.
 fn depth(camera: &Camera, point: &[f32; 3]) -> f64 {
     camera.pose.rotation.z_axis.dot(DVec3::from(point.map(f64::from)) - camera.pose.translation)
 }

@@ -135,8 +135,8 @@ impl RefineResult {
     }
 }
 
-/// Refines a scene's Gaussians against `photos`. Cameras are of the whole photos, in the scene's
-/// world.
+/// Refines a scene's Gaussians against `photos`; from 50 steps on, floaters are cleared. Cameras
+/// are of the whole photos, in the scene's world.
 ///
 /// `progress` runs after every step; if it ends the refinement, the best scene so far is returned.
 ///

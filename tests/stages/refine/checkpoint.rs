@@ -33,6 +33,28 @@ fn same(a: &RefineResult, b: &RefineResult) -> bool {
 }
 
 #[test]
+fn floaters_are_cleared_alike_when_continued() {
+    let cameras = cameras(4);
+    let (scene, photos) = photos(&cameras);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("checkpoint.safetensors");
+    let until = |end: usize, checkpoint: Option<RefineCheckpoint>| {
+        let progress = |now: RefineProgress<'_>| {
+            if now.step == end { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let options = RefineOptions { checkpoint, ..with_large_steps_of_scales() };
+        refine_scene(&Arena::new(device()), &moved(&scene), white(&photos), &cameras, &options, progress).unwrap()
+    };
+    let whole = until(usize::MAX, None);
+    for end in [2, 4] {
+        until(end, options(&path).checkpoint);
+        let finished = until(usize::MAX, options(&path).checkpoint);
+        assert!(same(&finished, &whole) && finished.resumed_step == end, "after step {end}");
+        std::fs::remove_file(&path).unwrap();
+    }
+}
+
+#[test]
 fn every_step_can_be_continued_bit_by_bit() {
     let (cameras, photos, moved) = place();
     let folder = tempfile::tempdir().unwrap();
@@ -73,11 +95,11 @@ fn every_step_can_be_continued_bit_by_bit() {
         refused(&options(&path), &["truncated"]);
         assert_eq!(std::fs::read(&path).unwrap(), &saved[..len], "nothing is lost");
     }
-    let version = b"2 of zipsplat";
+    let version = b"3 of zipsplat";
     let at = saved.windows(version.len()).position(|bytes| bytes == version).unwrap();
     let older = [&saved[..at], b"0", &saved[at + 1..]].concat();
     std::fs::write(&path, older).unwrap();
-    refused(&options(&path), &["version", "0 of zipsplat", "2 of zipsplat"]);
+    refused(&options(&path), &["version", "0 of zipsplat", "3 of zipsplat"]);
     std::fs::write(&path, &saved).unwrap();
     assert!(same(&until(usize::MAX, &options(&path)).unwrap(), &whole));
 }

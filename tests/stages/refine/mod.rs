@@ -73,22 +73,26 @@ fn needles_become_shorter() {
     assert!(largest < 5.001, "{largest}");
 }
 
+fn white(photos: &[Image]) -> Vec<Image> {
+    photos.iter().map(|photo| Image { rgb: vec![255; photo.rgb.len()], ..photo.clone() }).collect()
+}
+
+fn with_large_steps_of_scales() -> RefineOptions {
+    let default = LearningRates::default();
+    RefineOptions {
+        learning_rates: LearningRates { scales: 20.0 * default.scales, ..default },
+        ..sixty_steps_at_full_size()
+    }
+}
+
 /// White photos widen Gaussians until they veil cameras.
 #[test]
 fn floaters_are_cleared_without_growth() {
     let cameras = cameras(4);
     let (scene, photos) = photos(&cameras);
-    let white = photos.iter().map(|photo| Image { rgb: vec![255; photo.rgb.len()], ..photo.clone() });
-    let white: Vec<Image> = white.collect();
-    let default = LearningRates::default();
-    // Standard deviation over distance from a camera.
     let widest = |steps: usize| {
-        let request = RefineOptions {
-            length: RefineLength::Steps(steps),
-            learning_rates: LearningRates { scales: 20.0 * default.scales, ..default },
-            ..sixty_steps_at_full_size()
-        };
-        let Scene { means, scales, .. } = refine(&moved(&scene), &white, &cameras, &request).scene;
+        let request = RefineOptions { length: RefineLength::Steps(steps), ..with_large_steps_of_scales() };
+        let Scene { means, scales, .. } = refine(&moved(&scene), &white(&photos), &cameras, &request).scene;
         let ratio = |(mean, scales): (&[f32; 3], &[f32; 3])| {
             let distances = cameras.iter().map(|camera| camera.pose.translation.distance(mean.map(f64::from).into()));
             f64::from(glam::Vec3::from(*scales).max_element()) / distances.fold(f64::INFINITY, f64::min)

@@ -102,9 +102,6 @@ impl<'a> Refinement<'a> {
             scene_distance * f64::from(options.learning_rates.camera_translation),
         ];
         let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, options.seed));
-        let clears = growth.is_some() || steps >= GROWTH_FROM && gaussians.tokens.is_none();
-        let free_space =
-            clears.then(|| FreeSpace::new(&scene, &training.iter().map(|i| cameras[*i]).collect::<Vec<_>>()));
         let depth_weight = options.depth_loss.map_or(0.0, |loss| scene_distance * f64::from(loss.weight));
         scene.antialiased = options.antialiased.unwrap_or(scene.antialiased);
         gaussians.draw_as(&scene);
@@ -117,7 +114,7 @@ impl<'a> Refinement<'a> {
             pace: None,
             gaussians,
             growth,
-            free_space,
+            free_space: None,
             training,
             upcoming: VecDeque::new(),
             factor: 0,
@@ -154,6 +151,8 @@ impl<'a> Refinement<'a> {
         // Held-out photos select the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
         let given = (self.holdout.is_empty() && self.options.perceptual_loss.is_none()).then(|| self.kept.clone());
+        let clears = self.schedule.steps >= GROWTH_FROM && self.gaussians.tokens.is_none();
+        self.find_free_space(self.growth.is_some() || clears);
         let resumed_step = match loaded {
             Some(mut state) => self.load(&mut state)?,
             None => 0,
@@ -278,6 +277,13 @@ impl<'a> Refinement<'a> {
         }
         self.keep();
         Ok(None)
+    }
+
+    /// By the given scene, which is kept first.
+    fn find_free_space(&mut self, clears: bool) {
+        let Self { kept: Kept { scene, cameras, .. }, training, .. } = self;
+        let training = || training.iter().map(|i| cameras[*i]).collect::<Vec<_>>();
+        self.free_space = clears.then(|| FreeSpace::new(scene, &training()));
     }
 
     fn clear_and_grow(&mut self, along: f64, rate: f32) -> Result<()> {

@@ -105,12 +105,17 @@ impl Refinement<'_> {
         state.list("upcoming", &mut upcoming)?;
         self.upcoming = upcoming.into_iter().map(|photo| photo as usize).collect();
         let evaluated = self.evaluated.map_or(0, |step| step + 1);
-        let numbers = [self.factor as usize, self.began, evaluated, self.interval, self.first_exposed];
+        let clears = usize::from(self.free_space.is_some());
+        let numbers = [self.factor as usize, self.began, evaluated, self.interval, self.first_exposed, clears];
         let mut numbers = numbers.map(|n| n as u64);
         state.fixed("numbers", &mut numbers)?;
-        let [factor, began, evaluated, interval, first_exposed] = numbers.map(|n| n as usize);
+        let [factor, began, evaluated, interval, first_exposed, clears] = numbers.map(|n| n as usize);
         (self.factor, self.began, self.evaluated) = (factor as u32, began, evaluated.checked_sub(1));
         (self.interval, self.first_exposed) = (interval.max(1), first_exposed);
+        // Planned steps may have changed.
+        if self.free_space.is_some() != (clears == 1) {
+            self.find_free_space(clears == 1);
+        }
         let mut losses = [self.least, self.latest];
         state.fixed("mean_losses", &mut losses)?;
         [self.least, self.latest] = losses;

@@ -28,8 +28,6 @@ use zipsplat::{
 pub struct Finished<'a> {
     pub posed: Posed<'a>,
     pub found: Option<EstimatedCameras>,
-    /// For cameras and scene.
-    pub one_pass: bool,
     pub forward: Option<Forward>,
     pub refined: Option<RefinedScene>,
     pub device: Device,
@@ -102,14 +100,22 @@ impl Reconstruct {
         Ok(drawn)
     }
 
-    pub fn report(&self, session: &mut Session<'_>, made: Finished<'_>, drawn: Option<(Value, String)>) -> Result<()> {
+    pub fn report(
+        &self,
+        session: &mut Session<'_>,
+        mut made: Finished<'_>,
+        drawn: Option<(Value, String)>,
+    ) -> Result<()> {
         let total = session.began.elapsed();
-        let times = made.times_in(total);
-        let Finished { posed: Posed { photos, .. }, forward, refined, device, scene, .. } = &made;
+        let other = total.saturating_sub(made.times.iter().map(|(_, took)| *took).sum());
+        made.times.push(("other".to_owned(), other));
+        let stages = stage_seconds(&made.times);
+        made.times.push(("total".to_owned(), total));
+        let Finished { posed: Posed { photos, .. }, forward, refined, device, scene, times, .. } = &made;
         let peaks = forward.iter().map(|forward| forward.peak_bytes);
         let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
         let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
-        let (stages, name) = (stage_seconds(&times[..times.len() - 1]), &device.limits().name);
+        let name = &device.limits().name;
         let mut json = json!({
             "output": self.output().to_string_lossy(), "device": name, "photos": photos.len(),
             "gaussians": scene.len(), "peak_bytes": peak_bytes, "seconds": total.as_secs_f64(), "stage_seconds": stages,
@@ -120,7 +126,7 @@ impl Reconstruct {
             forward.json.iter().for_each(|(name, value)| json[*name] = value.clone());
         }
         text += &format!("at most {} of {name}\n", bytes(peak_bytes));
-        for (stage, took) in &times {
+        for (stage, took) in times {
             let loaded = forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS);
             let rate = loaded.map_or_else(String::new, |forward| format!("  ({}/s)", bytes(forward.rate)));
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
@@ -147,17 +153,6 @@ impl Reconstruct {
 }
 
 impl Finished<'_> {
-    fn times_in(&self, total: Duration) -> Vec<(String, Duration)> {
-        let found = self.found.iter().filter(|_| !self.one_pass).flat_map(|found| &found.times);
-        let found = found.map(|(step, took)| ((*step).to_owned(), *took));
-        let forward = self.forward.iter().flat_map(|forward| forward.times.clone());
-        let refined = self.refined.iter().map(|made| ("refine".to_owned(), made.refined.took));
-        let mut times: Vec<_> = found.chain(forward).chain(refined).chain(self.times.iter().cloned()).collect();
-        let other = total.saturating_sub(times.iter().map(|(_, took)| *took).sum());
-        times.extend([("other".to_owned(), other), ("total".to_owned(), total)]);
-        times
-    }
-
     fn origin(&self) -> String {
         match (&self.refined, &self.forward) {
             (Some(made), _) => {

@@ -24,7 +24,10 @@ use each::Batch;
 use finished::Finished;
 use forward::Forward;
 use refined::{From, RefineInputs};
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 use world::WorldName;
 use zipsplat::{
     Error, Result,
@@ -194,8 +197,12 @@ impl Reconstruct {
         let refined = steps.zip(init).map(refine).transpose()?;
         let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
         let Some(scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
-        let one_pass = self.finds_by_itself(&network);
-        let mut made = Finished { posed, found, one_pass, forward, refined, device, scene, times: Vec::new() };
+        let separate = found.iter().filter(|_| !self.finds_by_itself(&network));
+        let separate = separate.flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took)));
+        let mut times: Vec<(String, Duration)> = separate.collect();
+        times.extend(forward.iter().flat_map(|forward| forward.times.clone()));
+        times.extend(refined.iter().map(|made| ("refine".to_owned(), made.refined.took)));
+        let mut made = Finished { posed, found, forward, refined, device, scene, times };
         self.save(session, &mut made, &mut folder)?;
         let drawn = drawing.map(|drawing| self.draw(session, &mut made, &drawing)).transpose()?;
         self.report(session, made, drawn)
@@ -211,7 +218,6 @@ impl Reconstruct {
         }
     }
 
-    /// Points need no network.
     fn forward(
         &self,
         session: &mut Session<'_>,
