@@ -18,6 +18,7 @@ mod plan;
 mod planned;
 mod refinement;
 mod schedule;
+mod stereo;
 mod tokens;
 mod views;
 
@@ -30,6 +31,7 @@ pub use exposed::{EXPOSURE_NUMBERS, Exposed};
 pub use options::{DepthLoss, Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use photos::Photos;
 pub use plan::{Moved, RefinePlan, plan_refinement};
+pub use stereo::stereo_points;
 pub use tokens::FrozenHead;
 
 use crate::{

@@ -105,7 +105,8 @@ impl Refine {
         let masks = self.finding.masks();
         masks.as_ref().map_or(Ok(()), |masks| masks.check(&photos))?;
         let frames = poses.frames_of(&photos)?;
-        let started = self.start(session, scene, &poses, &frames)?;
+        let files = PhotoFiles::new(&photos, &frames, masks.clone())?;
+        let started = self.start(session, scene, &poses, &frames, &files)?;
         drop(found);
         let device = session.device()?;
         let unit = 1.0 / started.to_scene.scale;
@@ -115,7 +116,6 @@ impl Refine {
         let is_in_place = scene.is_some_and(|scene| scene.canonicalize().ok() == self.output.canonicalize().ok());
         let is_repeatable = refinement::has_stable_cameras(&self.cameras) && !is_in_place;
         let checkpoint = is_repeatable.then(checkpoint).transpose()?;
-        let files = PhotoFiles::new(&photos, &frames, masks)?;
         let kind = known.as_ref().map(|known| known.kind);
         let request = RefineOptions {
             views_per_step: self.views_per_step,
@@ -153,6 +153,7 @@ impl Refine {
         path: Option<&PathBuf>,
         poses: &Capture,
         frames: &[&CaptureView],
+        photos: &PhotoFiles<'_>,
     ) -> Result<Started> {
         if frames.is_empty() {
             return Err(Error::argument("photos", "none", "one or more behind the scene"));
@@ -174,7 +175,7 @@ impl Refine {
             Some(path) if self.init().needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
             _ => None,
         };
-        let scene = self.init().scene(scene, cloud.as_ref(), &cameras)?;
+        let scene = refinement::initial(session, self.init(), scene, cloud.as_ref(), photos, &cameras)?;
         Ok(Started { scene, cameras, world, to_scene })
     }
 

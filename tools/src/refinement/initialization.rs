@@ -1,12 +1,14 @@
 use clap::ValueEnum;
+use std::ops::ControlFlow;
 use zipsplat::{
     Error, Result,
+    refine::{Photos, stereo_points},
     types::{Camera, PointCloud, Scene},
 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Initialization {
-    /// A Gaussian at each point of the capture's point cloud
+    /// A Gaussian at each point of the capture's point cloud, and of stereo between its photos
     Points,
     /// The scene's Gaussians
     Scene,
@@ -37,14 +39,22 @@ impl Initialization {
         }
     }
 
-    /// Unneeded arguments may be `None`.
-    pub fn scene(self, scene: Option<Scene>, cloud: Option<&PointCloud>, cameras: &[Camera]) -> Result<Scene> {
+    /// An unneeded scene or cloud may be `None`; `progress` gets the completed fraction.
+    pub fn scene(
+        self,
+        scene: Option<Scene>,
+        cloud: Option<&PointCloud>,
+        photos: &dyn Photos,
+        cameras: &[Camera],
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Scene> {
         let lacks = |found: &str, expected: &str| Error::argument("start of the refinement", found, expected);
         let of_scene = || scene.ok_or_else(|| lacks("no scene", "a scene, or --init points"));
         let of_points = || {
             let expected =
                 "ply_file_path of transforms.json, points.ply beside it, or COLMAP's points3D; or --init scene";
-            Scene::from_points(cloud.ok_or_else(|| lacks("no point cloud", expected))?, cameras)
+            let cloud = cloud.ok_or_else(|| lacks("no point cloud", expected))?;
+            Scene::from_points(&stereo_points(photos, cameras, cloud, progress)?, cameras)
         };
         match self {
             Self::Scene => of_scene(),

@@ -48,6 +48,18 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
+/// [`Initialization::scene`] as a stage.
+pub fn initial(
+    session: &Session<'_>,
+    init: Initialization,
+    scene: Option<Scene>,
+    cloud: Option<&PointCloud>,
+    photos: &dyn Photos,
+    cameras: &[Camera],
+) -> Result<Scene> {
+    Ok(session.stage("match photos", |stage| init.scene(scene, cloud, photos, cameras, |done| stage.at(done)))?.0)
+}
+
 /// Returns whether a rerun has equal cameras, unlike COLMAP's.
 pub fn has_stable_cameras(cameras: &Path) -> bool {
     Finder::named(cameras).is_none_or(|finder| finder.family().is_some())

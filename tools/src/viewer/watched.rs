@@ -8,7 +8,7 @@ use crate::{
     options::Antialiasing,
     photos::PhotoFiles,
     process::lock,
-    refinement::{Initialization, placed},
+    refinement::{Initialization, initial, placed},
     session::Session,
 };
 use serde::Serialize;
@@ -88,8 +88,9 @@ impl FromPhotos {
             } else {
                 (None, None)
             };
+            let photos = PhotoFiles::new(&ready.photos, &frames, self.finding.masks())?;
             (
-                Target::Scene(from.scene(scene, cloud.as_ref(), &cameras)?),
+                Target::Scene(initial(session, from, scene, cloud.as_ref(), &photos, &cameras)?),
                 shown.filter(|_| from == Initialization::Scene),
             )
         };

@@ -145,7 +145,9 @@ impl<'a> Evaluator<'a> {
             let cloud = choice.points(&capture.scene_scale)?;
             let init = eval.refine.settings.init.unwrap_or(Initialization::Scene);
             reconstruction.started = init.name();
-            let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
+            let (photos, cameras) = capture.training_views();
+            let given = Some(reconstruction.scene);
+            let scene = refinement::initial(session, init, given, cloud.as_ref(), &photos, &cameras)?;
             let arena = Arena::new(&self.device);
             let refined = refine(eval, session, &arena, Refinable::Scene(&scene), choice, capture, steps)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
@@ -186,7 +188,9 @@ impl<'a> Evaluator<'a> {
                 let init =
                     Initialization::or_best(eval.refine.settings.init, cloud.as_ref(), eval.weights.is_builtin());
                 started = init.name();
-                let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
+                let (photos, cameras) = capture.training_views();
+                let initial =
+                    refinement::initial(session, init, Some(scene.clone()), cloud.as_ref(), &photos, &cameras)?;
                 Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), choice, capture, steps)?)
             }
             (None, _) => None,

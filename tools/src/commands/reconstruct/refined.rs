@@ -73,7 +73,8 @@ impl Reconstruct {
             }
             (From::Tokens, ..) => unreachable!("they were asked for"),
             (From::Scene(init), ..) => {
-                scene = init.scene(inputs.forward.map(|forward| forward.scene.clone()), cloud, &cameras)?;
+                let network = inputs.forward.map(|forward| forward.scene.clone());
+                scene = refinement::initial(session, init, network, cloud, &files, &cameras)?;
                 (Refinable::Scene(&scene), init.name())
             }
         };
