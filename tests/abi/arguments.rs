@@ -41,6 +41,7 @@ fn null_is_refused_everywhere() {
         unsafe { zs_reconstruction_estimate_camera(null(), 0, null_mut()) },
         unsafe { zs_scene_get_info(null(), null_mut()) },
         unsafe { zs_scene_from_points(null(), null(), 0, null(), 0, null_mut()) },
+        unsafe { zs_scene_from_photos(null(), null(), 0, null(), null(), 0, null_mut()) },
         unsafe { zs_vulkan_requirements(null_mut(), null_mut()) },
         unsafe { zs_device_from_vulkan(null(), null_mut()) },
         unsafe { zs_render_to_vulkan(null(), null(), null(), null()) },

@@ -202,6 +202,9 @@ def test_renderers_take_arrays_and_scenes_points(scene: zipsplat.Scene, capture:
     points = np.random.default_rng(1).normal(size=(30, 3)) + [0, 0, 4]
     opened = zipsplat.Capture.open(capture)
     red = zipsplat.Scene.from_points(points, np.full((30, 3), [255, 0, 0]), opened.cameras)
+    assert len(zipsplat.Scene.from_points(points, images=opened)) >= 30
+    with pytest.raises(zipsplat.ArgumentError, match="cameras"):
+        zipsplat.Scene.from_points(points, images=[np.zeros((20, 30, 3), np.uint8)] * 3)
     assert np.array_equal(red.means, points.astype(np.float32)) and len(zipsplat.Scene.from_points(points)) == 30
     assert red.sh_coeffs[:, 0, 0].min() > 0 > red.sh_coeffs[:, 0, 1:].max()
     with pytest.raises(zipsplat.ArgumentError, match=r"colors: found shape \[29, 3\]"):

@@ -512,6 +512,16 @@ zs_status zs_scene_from_points(const float *positions,
                                size_t camera_count,
                                struct zs_scene **scene);
 
+// As zs_scene_from_points, also with Gaussians where stereo between the cameras' photos finds
+// surfaces without points.
+zs_status zs_scene_from_photos(const struct zs_image *images,
+                               const struct zs_camera *cameras,
+                               size_t image_count,
+                               const float *positions,
+                               const uint8_t *colors,
+                               size_t count,
+                               struct zs_scene **scene);
+
 // Opens a PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .sog, .splat, or glTF with
 // KHR_gaussian_splatting (.gltf, .glb).
 zs_status zs_scene_open(const char *path, const struct zs_scene_open_options *options, struct zs_scene **scene);

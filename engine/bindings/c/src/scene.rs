@@ -2,18 +2,21 @@
 
 use super::{
     camera::{read_cameras, zs_camera},
+    image::zs_image,
     pointers::{
-        Versioned, array, borrow, describe, destroy, flag, optional_text, produce, put, read_given, read_versioned,
-        text,
+        Versioned, array, borrow, describe, destroy, flag, optional_text, produce, put, read_array, read_given,
+        read_versioned, text,
     },
     status::{Failure, guard, zs_status},
 };
 use std::{
     ffi::{c_char, c_void},
+    ops::ControlFlow,
     sync::Arc,
 };
 use zipsplat::{
     SaveOptions, Scene,
+    refine::stereo_points,
     types::{Origin, PointCloud, SceneFormat, World, decode_world, read_world},
 };
 
@@ -189,22 +192,53 @@ pub unsafe extern "C" fn zs_scene_from_points(
     scene: *mut *mut zs_scene,
 ) -> zs_status {
     let create = || {
-        if !(1..=MAX_GAUSSIANS).contains(&count) {
-            return Err(Failure::argument("number of points", count, format!("1 to {MAX_GAUSSIANS}")));
-        }
         // SAFETY: the caller's arrays.
-        let (positions, colors, cameras) = unsafe {
-            let colors = if colors.is_null() { &[] } else { array(colors.cast(), count, "colors")? };
-            (array(positions.cast(), count, "positions")?, colors, read_cameras(cameras, camera_count)?)
-        };
-        if positions.as_flattened().iter().any(|value: &f32| !value.is_finite()) {
-            return Err(Failure::argument("positions", "NaN or infinity", "finite numbers"));
-        }
-        let cloud = PointCloud { positions: positions.to_vec(), colors: colors.to_vec() };
+        let (cloud, cameras) = unsafe { (read_cloud(positions, colors, count)?, read_cameras(cameras, camera_count)?) };
         Ok(Scene::from_points(&cloud, &cameras)?.into())
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, create) }
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_from_photos(
+    images: *const zs_image,
+    cameras: *const zs_camera,
+    image_count: usize,
+    positions: *const f32,
+    colors: *const u8,
+    count: usize,
+    scene: *mut *mut zs_scene,
+) -> zs_status {
+    let create = || {
+        // SAFETY: the caller's arrays.
+        let (cloud, photos, cameras) = unsafe {
+            let images = read_array(images, image_count, "images")?.into_iter().enumerate();
+            let photos = images.map(|(i, image)| image.image(&format!("image {i}"))).collect::<Result<Vec<_>, _>>()?;
+            (read_cloud(positions, colors, count)?, photos, read_cameras(cameras, image_count)?)
+        };
+        let joined = stereo_points(&photos, &cameras, &cloud, |_| ControlFlow::Continue(()))?;
+        Ok(Scene::from_points(&joined, &cameras)?.into())
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, create) }
+}
+
+/// # Safety
+/// Arrays have `count` rows; all may be NULL.
+unsafe fn read_cloud(positions: *const f32, colors: *const u8, count: usize) -> Result<PointCloud, Failure> {
+    if !(1..=MAX_GAUSSIANS).contains(&count) {
+        return Err(Failure::argument("number of points", count, format!("1 to {MAX_GAUSSIANS}")));
+    }
+    // SAFETY: the caller's promise.
+    let (positions, colors): (&[[f32; 3]], &[[u8; 3]]) = unsafe {
+        let colors = if colors.is_null() { &[] } else { array(colors.cast(), count, "colors")? };
+        (array(positions.cast(), count, "positions")?, colors)
+    };
+    if positions.as_flattened().iter().any(|value| !value.is_finite()) {
+        return Err(Failure::argument("positions", "NaN or infinity", "finite numbers"));
+    }
+    Ok(PointCloud { positions: positions.to_vec(), colors: colors.to_vec() })
 }
 
 #[unsafe(no_mangle)]

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 use std::ops::ControlFlow;
 use sweep::{Depths, sweep};
 
-/// Photos are matched at this size; of more, a spread subset.
 const MAX_SIDE: u32 = 160;
+/// Of more photos, a spread subset is matched.
 const MAX_PHOTOS: usize = 64;
 /// Least correlation of a point, and of pixels that confirm it.
 const CORRELATED: f32 = 0.6;
@@ -25,27 +25,23 @@ const AGREEING: usize = 2;
 const TOLERANCE: f64 = 0.01;
 /// Relative depth from which a photo sees through a point.
 const BEYOND: f64 = 1.1;
-/// Fewest of nine neighboring pixels, and the relative difference of their depths.
+/// Relative difference of depths of a surface, and its fewest pixels in a window of nine.
+const SMOOTHNESS: f64 = 0.04;
 const SMOOTH: usize = 6;
-const SMOOTHNESS: f32 = 0.03;
-/// Relative depth within which a photo sees a point of others.
-const SEEN: f64 = 0.05;
-/// A point takes squares with sides of this many pixels: of the photo, and at least when matched.
-const SPACING: f64 = 4.0;
-const MIN_SPACING: f64 = 2.0;
+/// Side of a point's cell: in pixels of the photo, and its least when matched.
+const CELL: f64 = 4.0;
+const MIN_CELL: f64 = 2.0;
 const GRAY: [u8; 3] = [128; 3];
 
 struct Photo {
     view: View,
     gray: Vec<f32>,
     pairing: Pairing,
-    /// Pixels of a cell's side.
-    spacing: usize,
+    cell_side: usize,
 }
 
-/// Appends points to those of structure from motion: at most one per few pixels, where three
-/// photos or more agree on a depth. Cameras are of the whole photos, in the points' world;
-/// `progress` gets the completed fraction.
+/// Appends points to those of structure from motion, where three photos or more agree on a depth.
+/// Cameras are of the whole photos, in the points' world; `progress` gets the completed fraction.
 ///
 /// # Errors
 /// [`Error::Argument`] for an unusable photo or camera, [`Error::Cancelled`] from `progress`.
@@ -55,6 +51,10 @@ pub fn stereo_points(
     cloud: &PointCloud,
     mut progress: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<PointCloud> {
+    if photos.count() != cameras.len() {
+        let expected = format!("one for each of {} photos", photos.count());
+        return Err(Error::argument("cameras", cameras.len(), expected));
+    }
     let photos = opened(photos, cameras, cloud)?;
     let mut depths = Vec::with_capacity(photos.len());
     for some in photos.chunks(rayon::current_num_threads()) {
@@ -92,7 +92,7 @@ fn opened(photos: &dyn Photos, cameras: &[Camera], cloud: &PointCloud) -> Result
         };
         let gray = view.image.rgb.as_chunks().0.iter().map(luma).collect();
         let scale = f64::from(view.size[0]) / f64::from(photos.size(view.photo)[0]);
-        Photo { gray, pairing, spacing: (SPACING * scale).round().max(MIN_SPACING) as usize, view }
+        Photo { gray, pairing, cell_side: (CELL * scale).round().max(MIN_CELL) as usize, view }
     };
     Ok(views.into_iter().zip(pairings(&seen, cloud)).map(photo).collect())
 }
@@ -105,7 +105,7 @@ impl Photo {
     /// First pixel of a pixel's cell.
     fn cell(&self, pixel: usize) -> usize {
         let [width, _] = self.size();
-        let [x, y] = [pixel % width, pixel / width].map(|at| at - at % self.spacing);
+        let [x, y] = [pixel % width, pixel / width].map(|at| at - at % self.cell_side);
         y * width + x
     }
 
@@ -145,13 +145,14 @@ fn confirmed(photo: &Photo, of: &Depths, photos: &[Photo], depths: &[Depths]) ->
         let around = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
         let rows = around(pixel / width, height);
         let near = rows.flat_map(|y| around(pixel % width, width).map(move |x| y * width + x));
-        let depth = of.depths[pixel];
-        near.filter(|at| agree[*at] && (of.depths[*at] - depth).abs() < SMOOTHNESS * depth).count() >= SMOOTH
+        let depth = |pixel: usize| f64::from(of.depths[pixel]);
+        let is_close = |at: &usize| (depth(*at) - depth(pixel)).abs() < SMOOTHNESS * depth(pixel);
+        near.filter(|at| agree[*at] && is_close(at)).count() >= SMOOTH
     };
     (0..width * height).map(|pixel| agree[pixel] && smooth(pixel)).collect()
 }
 
-/// Pixels of points: the most correlated one of each free cell.
+/// The most correlated pixel of each free cell.
 fn chosen(photo: &Photo, of: &Depths, confirmed: &[bool], taken: &[bool]) -> Vec<usize> {
     let mut best: Vec<Option<usize>> = vec![None; taken.len()];
     for pixel in (0..taken.len()).filter(|pixel| confirmed[*pixel]) {
@@ -168,7 +169,7 @@ fn take(taken: &mut [Vec<bool>], photos: &[Photo], depths: &[Depths], points: &[
     taken.par_iter_mut().zip(photos).zip(depths).for_each(|((taken, photo), of)| {
         for point in points {
             let Some((pixel, depth)) = photo.project(DVec3::from(point.map(f64::from))) else { continue };
-            if (f64::from(of.depths[pixel]) - depth).abs() < SEEN * depth {
+            if (f64::from(of.depths[pixel]) - depth).abs() < SMOOTHNESS * depth {
                 taken[photo.cell(pixel)] = true;
             }
         }
@@ -188,13 +189,16 @@ mod tests {
         let cameras = cameras();
         let photos: Vec<Image> = cameras.iter().map(photo).collect();
         let found = added(&photos, &cameras, &sparse());
-        assert!(found.len() > 1000, "{}", found.len());
-        let error = |[x, y, z]: &[f32; 3]| {
-            let surface = if is_box(f64::from(*x), f64::from(*y)) { BOX } else { WALL };
-            (f64::from(*z) / surface - 1.0).abs()
+        assert!(found.len() > 500, "{}", found.len());
+        // Windows at the box's edges see both surfaces.
+        let wrong = |at: &&[f32; 3]| {
+            let [x, y, z] = at.map(f64::from);
+            let [inside, around] = [0.7, 1.4].map(|scale| is_box(x / scale, y / scale));
+            let surface = if is_box(x, y) { BOX } else { WALL };
+            inside == around && (z / surface - 1.0).abs() > 0.01
         };
-        let wrong = found.iter().filter(|at| error(at) > 0.02).count();
-        assert!(wrong * 50 < found.len(), "{wrong} of {}", found.len());
+        let wrong = found.iter().filter(wrong).count();
+        assert!(wrong * 100 < found.len(), "{wrong} of {}", found.len());
         let in_front = found.iter().filter(|at| at[2] < 3.5).count();
         assert!(in_front > 100, "{in_front}");
         assert!(added(&photos, &cameras, &sparse()) == found);

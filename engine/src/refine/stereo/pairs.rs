@@ -1,23 +1,20 @@
-//! Which photos are matched with which, and at what depths.
+//! Photos to match with each other, and their range of depths.
 
 use crate::types::{Camera, PointCloud};
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Photos matched with one.
-pub(super) const SOURCES: usize = 5;
-/// Points looked at, and fewest that two photos share.
+const SOURCES: usize = 5;
 const SAMPLE: usize = 2048;
+/// Fewest points in common.
 const COMMON: usize = 10;
-/// Best angle between rays to a point in degrees, with the standard deviations of the preference
-/// below and above (Yao et al. 2018).
+/// Best angle between rays in degrees, and standard deviations below and above (Yao et al. 2018).
 const ANGLE: f64 = 8.0;
 const DEVIATIONS: [f64; 2] = [3.0, 15.0];
-/// Quantiles of points' depths from both ends, and the factor to the nearest and farthest depth.
+/// Quantile of points' depths from both ends, and the factor beyond them.
 const QUANTILE: f64 = 0.01;
 const MARGIN: f64 = 1.4;
 
-/// Empty without enough points.
 #[derive(Default)]
 pub(super) struct Pairing {
     /// Other photos, the best first.

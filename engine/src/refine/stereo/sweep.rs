@@ -9,19 +9,18 @@ use glam::{DMat3, DVec3};
 const PLANES: usize = 96;
 const RADIUS: usize = 3;
 const WINDOW: usize = 2 * RADIUS + 1;
-/// Variance of gray levels that is taken for noise.
+/// Variance of gray levels.
 const NOISE: f32 = 4.0;
-/// Sources whose correlations count: the best, since others may not see a surface.
+/// Sources whose correlations count, since others may not see a surface.
 const BEST: usize = 3;
 
-/// By pixel; a score of 0 means an unknown depth.
+/// By pixel.
 pub(super) struct Depths {
     pub depths: Vec<f32>,
-    /// Mean correlation of the best sources.
+    /// Mean correlation of the best sources; 0 if unknown.
     pub scores: Vec<f32>,
 }
 
-/// Best plane of a pixel so far.
 #[derive(Clone, Copy, Default)]
 struct Best {
     plane: usize,
@@ -88,7 +87,7 @@ fn homography(photo: &Photo, source: &Photo, inverse_depth: f64) -> DMat3 {
     matrix(&to.intrinsics) * mapped * matrix(&from.intrinsics).inverse()
 }
 
-/// Gray levels of `source` by pixel of the swept photo, and whether they are inside of it.
+/// Gray levels of `source` by pixel of the swept photo, if inside.
 fn warp(map: &DMat3, [width, height]: [usize; 2], source: &Photo) -> (Vec<f32>, Vec<bool>) {
     let [columns, rows] = source.size();
     let [last_x, last_y] = [columns, rows].map(|side| side.saturating_sub(1) as f32);
@@ -116,7 +115,6 @@ fn warp(map: &DMat3, [width, height]: [usize; 2], source: &Photo) -> (Vec<f32>, 
     (warped, inside)
 }
 
-/// Windows of the swept photo.
 struct Windows<'a> {
     photo: &'a Photo,
     means: Vec<f32>,
@@ -131,7 +129,7 @@ impl<'a> Windows<'a> {
         Self { photo, means, variances }
     }
 
-    /// Passes pixels whose window is inside both photos, and its correlation, to `found`.
+    /// Passes windows inside both photos, with their correlation, to `found`.
     fn correlate(&self, warped: &[f32], inside: &[bool], mut found: impl FnMut(usize, f32)) {
         let [width, height] = self.photo.size();
         let squares: Vec<f32> = warped.iter().map(|gray| gray * gray).collect();

@@ -156,7 +156,7 @@ def matched(
         if cameras is not None and len(cameras) != len(sources):
             raise ArgumentError(f"found {len(cameras)} cameras, expected one for each of {len(sources)} images")
         return sources, None if cameras is None else Cameras(cameras), None
-    posed, views = [], []
+    found, views = [], []
     for source in sources:
         if not isinstance(source, (str, os.PathLike)):
             raise ArgumentTypeError(
@@ -169,11 +169,19 @@ def matched(
         for view in cameras[first:]:
             if view.name != cameras[first].name:
                 break
-            posed.append(_Posed(cameras, view.index, source))
+            found.append(_Posed(cameras, view.index, source))
             views.append(view.camera)
-    if not posed:
+    if not found:
         raise ArgumentError(f"none of {len(sources)} photos is among the {len(cameras)} of the capture")
-    return list(posed), Cameras(views), cameras
+    return list(found), Cameras(views), cameras
+
+
+def posed(images: ImagesLike, cameras: Optional[CamerasLike]) -> tuple[list[Any], Cameras]:
+    """Matches images with cameras, which are required."""
+    sources, views, _ = matched(images, cameras)
+    if views is None:
+        raise ArgumentError("cameras: found none, expected one per image, as from zipsplat.estimate_cameras")
+    return sources, views
 
 
 def listed(images: Any) -> list[Any]:

@@ -16,7 +16,7 @@ from .cameras import Camera, PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
 from .errors import ArgumentError, ArgumentTypeError
-from .images import CamerasLike, DepthsLike, ImagesLike, MasksLike, matched
+from .images import CamerasLike, DepthsLike, ImagesLike, MasksLike, posed
 from .images import native as native_images
 from .progress import Callback, ProgressFunction
 from .refine import RefineResult, refine_result
@@ -158,6 +158,7 @@ class Scene:
         positions: npt.ArrayLike,
         colors: Optional[npt.ArrayLike] = None,
         cameras: Sequence[Camera] = (),
+        images: Optional[ImagesLike] = None,
     ) -> Scene:
         """Creates a scene with a Gaussian per point, to be refined.
 
@@ -165,9 +166,11 @@ class Scene:
             positions: [N, 3] in world units.
             colors: [N, 3] uint8 red, green, blue; None for gray.
             cameras: Cameras that limit the sizes of the Gaussians.
+            images: Photos of the cameras, or a Capture, as for refine: adds Gaussians where stereo
+                finds surfaces without points.
 
         Example:
-            >>> scene = Scene.from_points(points, colors, capture.cameras).refine(capture)
+            >>> scene = Scene.from_points(points, colors, images=capture).refine(capture)
         """
         points = np.require(positions, np.float32, ["C", "A"])
         paint = None
@@ -183,8 +186,13 @@ class Scene:
             ffi.cast("float *", points.ctypes.data),
             ffi.NULL if paint is None else ffi.cast("uint8_t *", paint.ctypes.data),
         )
-        views = native_cameras(cameras)
-        return cls(Handle("scene", "zs_scene_from_points", *pointers, len(points), views, len(views)))
+        if images is None:
+            views = native_cameras(cameras)
+            return cls(Handle("scene", "zs_scene_from_points", *pointers, len(points), views, len(views)))
+        sources, views = posed(images, cameras or None)
+        photos, _kept = native_images(sources)
+        cameras_of = native_cameras(views)
+        return cls(Handle("scene", "zs_scene_from_photos", photos, cameras_of, len(views), *pointers, len(points)))
 
     @classmethod
     def from_gsplat(cls, params: Mapping[str, Any], antialiased: bool = False) -> Scene:
@@ -441,16 +449,14 @@ class Scene:
         """
         if not seconds > 0:
             raise ArgumentError(f"seconds: found {seconds}, expected a time above 0")
-        sources, posed, _ = matched(images, cameras)
-        if posed is None:
-            raise ArgumentError("cameras: found none, expected one per image, as from zipsplat.estimate_cameras")
+        sources, views = posed(images, cameras)
         on = opened(self._device if device is None else device)
         if depth_weight is not None and not depth_weight > 0:
             raise ArgumentError(f"depth_weight: found {depth_weight}, expected a number above 0")
         photos, _kept = native_images(sources, masks, invert_masks, depths)
         callback = Callback(progress)
         state = ffi.NULL if checkpoint is None else ffi.new("char[]", os.fsencode(checkpoint))
-        refined_cameras = native_cameras(posed)
+        refined_cameras = native_cameras(views)
         options = structure(
             "refine_options",
             steps=0 if steps is None else positive("steps", steps),
@@ -474,7 +480,7 @@ class Scene:
         learned = ffi.from_buffer("float[]", exposures)
         result = structure("refine_result", cameras=refined_cameras, exposures=learned)
         function, *owners = self._refined(on, target)
-        arguments = (*owners, photos, native_cameras(posed), len(sources), options, result)
+        arguments = (*owners, photos, native_cameras(views), len(sources), options, result)
         return Scene(Handle("scene", function, *arguments), on, refine_result(result, refined_cameras, exposures))
 
     def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
