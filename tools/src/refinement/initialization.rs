@@ -8,7 +8,7 @@ use zipsplat::{
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Initialization {
-    /// A Gaussian at each point of the capture's point cloud, and of stereo between its photos
+    /// A Gaussian at each point of the capture, and where stereo between photos finds surfaces
     Points,
     /// The scene's Gaussians
     Scene,
