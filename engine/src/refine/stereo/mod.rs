@@ -210,13 +210,12 @@ mod tests {
         let photos: Vec<Image> = cameras.iter().map(photo).collect();
         let found = added(&photos, &cameras, &sparse());
         let mut cloud = sparse();
-        // The right half is full already.
+        // The right half is full.
         let full = (0..40_000).map(|i| [0.02 * (i % 200) as f32, 0.02 * (i / 200) as f32 - 2.0, WALL as f32]);
         cloud.positions.extend(full.filter(|at| !is_box(at[0].into(), at[1].into())));
         let right = |points: &[[f32; 3]]| points.iter().filter(|at| at[0] > 0.8).count();
         let fewer = added(&photos, &cameras, &cloud);
         assert!(10 * right(&fewer) < right(&found), "{} of {}", right(&fewer), right(&found));
-        // Masked photos have none.
         let hidden = photos.iter().map(|photo| photo.clone().with_mask(vec![0; photo.rgb.len() / 3]).expect("a mask"));
         assert_eq!(added(&hidden.collect::<Vec<_>>(), &cameras, &sparse()).len(), 0);
     }
@@ -229,7 +228,6 @@ mod tests {
             || Image::new(120, 90, (0..32_400).map(|_| random.below(256) as u8).collect()).expect("a photo");
         let photos: Vec<Image> = cameras.iter().map(|_| noise()).collect();
         assert_eq!(added(&photos, &cameras, &sparse()).len(), 0);
-        // A flat color, two photos, no points.
         let flat = vec![Image::new(120, 90, vec![90; 32_400]).expect("a photo"); cameras.len()];
         assert_eq!(added(&flat, &cameras, &sparse()).len(), 0);
         let photos: Vec<Image> = cameras.iter().map(photo).collect();
@@ -247,7 +245,6 @@ mod tests {
         added.to_vec()
     }
 
-    /// On the wall and the box.
     fn sparse() -> PointCloud {
         let at = |i: usize| [0.5 * (i % 8) as f32 - 1.75, 0.5 * (i / 8) as f32 - 1.25];
         let point = |[x, y]: [f32; 2]| [x, y, if is_box(x.into(), y.into()) { BOX } else { WALL } as f32];
