@@ -17,6 +17,7 @@ use crate::{
 use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
+    time::Duration,
 };
 use zipsplat::{
     Error, Result,
@@ -48,7 +49,7 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// [`Initialization::scene`] as a stage.
+/// [`Initialization::scene`] as a stage, and its time.
 pub fn initial(
     session: &Session<'_>,
     init: Initialization,
@@ -56,8 +57,8 @@ pub fn initial(
     cloud: Option<&PointCloud>,
     photos: &dyn Photos,
     cameras: &[Camera],
-) -> Result<Scene> {
-    Ok(session.stage("match photos", |stage| init.scene(scene, cloud, photos, cameras, |done| stage.at(done)))?.0)
+) -> Result<(Scene, Duration)> {
+    session.stage("match photos", |stage| init.scene(scene, cloud, photos, cameras, |done| stage.at(done)))
 }
 
 /// Returns whether a rerun has equal cameras, unlike COLMAP's.

@@ -90,7 +90,7 @@ impl FromPhotos {
             };
             let photos = PhotoFiles::new(&ready.photos, &frames, self.finding.masks())?;
             (
-                Target::Scene(initial(session, from, scene, cloud.as_ref(), &photos, &cameras)?),
+                Target::Scene(initial(session, from, scene, cloud.as_ref(), &photos, &cameras)?.0),
                 shown.filter(|_| from == Initialization::Scene),
             )
         };

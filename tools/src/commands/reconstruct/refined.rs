@@ -5,6 +5,7 @@ use crate::{
     refinement::{self, Initialization, Refinable, RefineTask},
     session::Session,
 };
+use std::time::Duration;
 use zipsplat::{
     Result,
     gpu::{Arena, Device},
@@ -31,6 +32,8 @@ pub struct RefinedScene {
     pub started: &'static str,
     pub cameras: Vec<Camera>,
     pub request: RefineOptions,
+    /// Time of the initialization.
+    pub matched: Option<Duration>,
 }
 
 impl Reconstruct {
@@ -66,6 +69,7 @@ impl Reconstruct {
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
         let (head, scene);
+        let mut matched = None;
         let (from, started) = match (init, tokens, inputs.network) {
             (From::Tokens, Some(tokens), Network::Tokens(checkpoint)) => {
                 head = FrozenHead::load(inputs.device, checkpoint)?;
@@ -74,11 +78,12 @@ impl Reconstruct {
             (From::Tokens, ..) => unreachable!("they were asked for"),
             (From::Scene(init), ..) => {
                 let network = inputs.forward.map(|forward| forward.scene.clone());
-                scene = refinement::initial(session, init, network, cloud, &files, &cameras)?;
+                let (initial, took) = refinement::initial(session, init, network, cloud, &files, &cameras)?;
+                (scene, matched) = (initial, Some(took));
                 (Refinable::Scene(&scene), init.name())
             }
         };
         let refined = refinement::refine(session, &arena, from, files, known.as_ref(), &cameras, &request)?;
-        Ok(RefinedScene { refined, started, cameras, request })
+        Ok(RefinedScene { refined, started, cameras, request, matched })
     }
 }
