@@ -344,7 +344,7 @@ fn scenes_of_points_and_photos_are_rusts() {
     };
     let cameras = views.each_ref().map(rust_camera);
     let cloud = PointCloud { positions: positions.clone(), colors: Vec::new() };
-    let joined = stereo_points(&photos, &cameras, &cloud, |_| Continue(())).expect("points");
+    let joined = stereo_points(&photos, &cameras, &cloud, None, |_| Continue(())).expect("points");
     assert!(joined.positions.len() > 100, "{}", joined.positions.len());
     let expected = Scene::from_points(&joined, &cameras).expect("a scene");
     assert_same("points of photos", &bits(&read(&made(of_photos(4, 48)))), &bits(&expected));

@@ -91,7 +91,7 @@ fn a_scene_is_refined_in_its_own_world() {
     assert!(alike && first.len() == 5, "{first:?} and {cameras:?}");
     let points = folder.capture("place").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len();
-    assert_eq!(refined("first", "--init both").1, count + points);
+    assert_eq!(refined("first", "--init both --max-gaussians 0").1, count + points);
 }
 
 #[test]
@@ -163,8 +163,10 @@ fn scenes_grow() {
         let line = format!("refine {PHOTOS} --init points {options} -o @/scene.ply --overwrite --json");
         folder.run(&line).json()["gaussians"].as_u64().expect("a number")
     };
-    assert_eq!([gaussians("--steps 20"), gaussians("--steps 50 --max-gaussians 0")], [points; 2]);
-    assert!(gaussians("--steps 50") > points, "refinements grow by default");
+    assert_eq!(gaussians("--steps 50 --max-gaussians 0"), points);
+    let of_stereo = gaussians("--steps 20");
+    assert!(of_stereo > points && gaussians("--steps 50") > of_stereo, "{of_stereo}");
+    assert_eq!(gaussians(&format!("--steps 20 --max-gaussians {}", points + 9)), points + 9);
 }
 
 #[test]

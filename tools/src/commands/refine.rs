@@ -175,7 +175,15 @@ impl Refine {
             Some(path) if self.init().needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
             _ => None,
         };
-        let (scene, _) = refinement::initial(session, self.init(), scene, cloud.as_ref(), photos, &cameras)?;
+        let (scene, _) = refinement::initial(
+            session,
+            self.init(),
+            scene,
+            cloud.as_ref(),
+            photos,
+            &cameras,
+            self.settings.max_gaussians,
+        )?;
         Ok(Started { scene, cameras, world, to_scene })
     }
 

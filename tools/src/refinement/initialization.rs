@@ -39,13 +39,14 @@ impl Initialization {
         }
     }
 
-    /// An unneeded scene or cloud may be `None`; `progress` gets the completed fraction.
+    /// An unneeded scene or cloud may be `None`. Stereo adds points up to `most`.
     pub fn scene(
         self,
         scene: Option<Scene>,
         cloud: Option<&PointCloud>,
         photos: &dyn Photos,
         cameras: &[Camera],
+        most: Option<usize>,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Scene> {
         let lacks = |found: &str, expected: &str| Error::argument("start of the refinement", found, expected);
@@ -54,7 +55,7 @@ impl Initialization {
             let expected =
                 "ply_file_path of transforms.json, points.ply beside it, or COLMAP's points3D; or --init scene";
             let cloud = cloud.ok_or_else(|| lacks("no point cloud", expected))?;
-            Scene::from_points(&stereo_points(photos, cameras, cloud, progress)?, cameras)
+            Scene::from_points(&stereo_points(photos, cameras, cloud, most, progress)?, cameras)
         };
         match self {
             Self::Scene => of_scene(),

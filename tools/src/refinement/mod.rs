@@ -57,8 +57,9 @@ pub fn initial(
     cloud: Option<&PointCloud>,
     photos: &dyn Photos,
     cameras: &[Camera],
+    most: Option<usize>,
 ) -> Result<(Scene, Duration)> {
-    session.stage("match photos", |stage| init.scene(scene, cloud, photos, cameras, |done| stage.at(done)))
+    session.stage("match photos", |stage| init.scene(scene, cloud, photos, cameras, most, |done| stage.at(done)))
 }
 
 /// Returns whether a rerun has equal cameras, unlike COLMAP's.

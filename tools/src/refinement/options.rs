@@ -112,11 +112,11 @@ pub struct RefineSettings {
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto")]
     pub(super) exposure: Exposure,
     /// Grow the scene to at most N Gaussians (3DGS-MCMC) by relocating invisible Gaussians and
-    /// adding new ones; 0: no growth [default: from 50 steps on and below a training PSNR
-    /// of 25 dB, a Gaussian per 32 pixels of the photos, at most 16 times the initial number; from
-    /// 200 steps on more, up to twice as many at 800]
+    /// adding new ones; 0: no growth, no stereo [default: from 50 steps on and below a training
+    /// PSNR of 25 dB, a Gaussian per 32 pixels of the photos, at most 16 times the initial number;
+    /// from 200 steps on more, up to twice as many at 800]
     #[arg(long, alias = "grow", value_name = "N", value_parser = parse_count)]
-    max_gaussians: Option<usize>,
+    pub max_gaussians: Option<usize>,
     /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training; steps take many times as
     /// long. `python3 tools/lpips.py` downloads the weights of LPIPS [default: 0]
     #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]

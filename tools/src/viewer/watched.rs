@@ -90,7 +90,18 @@ impl FromPhotos {
             };
             let photos = PhotoFiles::new(&ready.photos, &frames, self.finding.masks())?;
             (
-                Target::Scene(initial(session, from, scene, cloud.as_ref(), &photos, &cameras)?.0),
+                Target::Scene(
+                    initial(
+                        session,
+                        from,
+                        scene,
+                        cloud.as_ref(),
+                        &photos,
+                        &cameras,
+                        self.refine.settings.max_gaussians,
+                    )?
+                    .0,
+                ),
                 shown.filter(|_| from == Initialization::Scene),
             )
         };

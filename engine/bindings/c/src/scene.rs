@@ -217,7 +217,7 @@ pub unsafe extern "C" fn zs_scene_from_photos(
             let photos = images.map(|(i, image)| image.image(&format!("image {i}"))).collect::<Result<Vec<_>, _>>()?;
             (read_cloud(positions, colors, count)?, photos, read_cameras(cameras, image_count)?)
         };
-        let joined = stereo_points(&photos, &cameras, &cloud, |_| ControlFlow::Continue(()))?;
+        let joined = stereo_points(&photos, &cameras, &cloud, None, |_| ControlFlow::Continue(()))?;
         Ok(Scene::from_points(&joined, &cameras)?.into())
     };
     // SAFETY: the caller's pointer.

@@ -41,7 +41,8 @@ struct Photo {
 }
 
 /// Appends points to those of structure from motion, where three photos or more agree on a depth.
-/// Cameras are of the whole photos, in the points' world; `progress` gets the completed fraction.
+/// Cameras are of the whole photos, in the points' world. At most `most` points result, unless
+/// more are given; `progress` gets the completed fraction.
 ///
 /// # Errors
 /// [`Error::Argument`] for an unusable photo or camera, [`Error::Cancelled`] from `progress`.
@@ -49,11 +50,17 @@ pub fn stereo_points(
     photos: &dyn Photos,
     cameras: &[Camera],
     cloud: &PointCloud,
+    most: Option<usize>,
     mut progress: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<PointCloud> {
+    let given = cloud.positions.len();
+    let most_added = most.map_or(usize::MAX, |most| most.saturating_sub(given));
     if photos.count() != cameras.len() {
         let expected = format!("one for each of {} photos", photos.count());
         return Err(Error::argument("cameras", cameras.len(), expected));
+    }
+    if most_added == 0 {
+        return Ok(cloud.clone());
     }
     let photos = opened(photos, cameras, cloud)?;
     let mut depths = Vec::with_capacity(photos.len());
@@ -66,7 +73,7 @@ pub fn stereo_points(
     let confirmed: Vec<_> =
         photos.par_iter().zip(&depths).map(|(photo, of)| confirmed(photo, of, &photos, &depths)).collect();
     let mut joined = cloud.clone();
-    joined.colors.resize(cloud.positions.len(), GRAY);
+    joined.colors.resize(given, GRAY);
     let mut taken: Vec<Vec<bool>> = photos.iter().map(|photo| vec![false; photo.gray.len()]).collect();
     take(&mut taken, &photos, &depths, &cloud.positions);
     for (i, photo) in photos.iter().enumerate() {
@@ -76,6 +83,16 @@ pub fn stereo_points(
             joined.colors.push(photo.view.image.rgb.as_chunks().0[pixel]);
         }
         take(&mut taken, &photos, &depths, &joined.positions[first..]);
+    }
+    let added = joined.positions.len() - given;
+    if added > most_added {
+        for i in 0..most_added {
+            let from = given + i * added / most_added;
+            joined.positions[given + i] = joined.positions[from];
+            joined.colors[given + i] = joined.colors[from];
+        }
+        joined.positions.truncate(given + most_added);
+        joined.colors.truncate(given + most_added);
     }
     Ok(joined)
 }
@@ -102,7 +119,6 @@ impl Photo {
         self.view.size.map(|side| side as usize)
     }
 
-    /// First pixel of a pixel's cell.
     fn cell(&self, pixel: usize) -> usize {
         let [width, _] = self.size();
         let [x, y] = [pixel % width, pixel / width].map(|at| at - at % self.cell_side);
@@ -123,7 +139,6 @@ impl Photo {
     }
 }
 
-/// Pixels whose point other photos confirm.
 fn confirmed(photo: &Photo, of: &Depths, photos: &[Photo], depths: &[Depths]) -> Vec<bool> {
     let ([width, height], mask) = (photo.size(), photo.view.image.mask.as_ref());
     let agree = |pixel: usize| {
@@ -202,6 +217,14 @@ mod tests {
         let in_front = found.iter().filter(|at| at[2] < 3.5).count();
         assert!(in_front > 100, "{in_front}");
         assert!(added(&photos, &cameras, &sparse()) == found);
+        let at_most = |most: usize| {
+            let cloud = stereo_points(&photos, &cameras, &sparse(), Some(most), |_| ControlFlow::Continue(()));
+            cloud.expect("points").positions
+        };
+        assert!(at_most(0) == sparse().positions && at_most(48) == sparse().positions);
+        let some = at_most(148);
+        assert!(some.len() == 148 && some[48..].iter().all(|at| found.contains(at)));
+        assert!(at_most(48 + found.len())[48..] == found);
     }
 
     #[test]
@@ -233,12 +256,12 @@ mod tests {
         let photos: Vec<Image> = cameras.iter().map(photo).collect();
         assert_eq!(added(&photos[..2], &cameras[..2], &sparse()).len(), 0);
         assert_eq!(added(&photos, &cameras, &PointCloud::default()).len(), 0);
-        let stopped = stereo_points(&photos, &cameras, &sparse(), |_| ControlFlow::Break(()));
+        let stopped = stereo_points(&photos, &cameras, &sparse(), None, |_| ControlFlow::Break(()));
         assert!(matches!(stopped, Err(Error::Cancelled)));
     }
 
     fn added(photos: &[Image], cameras: &[Camera], cloud: &PointCloud) -> Vec<[f32; 3]> {
-        let joined = stereo_points(&photos, cameras, cloud, |_| ControlFlow::Continue(())).expect("points");
+        let joined = stereo_points(&photos, cameras, cloud, None, |_| ControlFlow::Continue(())).expect("points");
         assert_eq!(joined.positions.len(), joined.colors.len());
         let (given, added) = joined.positions.split_at(cloud.positions.len());
         assert_eq!(given, cloud.positions);

@@ -147,7 +147,15 @@ impl<'a> Evaluator<'a> {
             reconstruction.started = init.name();
             let (photos, cameras) = capture.training_views();
             let given = Some(reconstruction.scene);
-            let (scene, _) = refinement::initial(session, init, given, cloud.as_ref(), &photos, &cameras)?;
+            let (scene, _) = refinement::initial(
+                session,
+                init,
+                given,
+                cloud.as_ref(),
+                &photos,
+                &cameras,
+                eval.refine.settings.max_gaussians,
+            )?;
             let arena = Arena::new(&self.device);
             let refined = refine(eval, session, &arena, Refinable::Scene(&scene), choice, capture, steps)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
@@ -189,8 +197,15 @@ impl<'a> Evaluator<'a> {
                     Initialization::or_best(eval.refine.settings.init, cloud.as_ref(), eval.weights.is_builtin());
                 started = init.name();
                 let (photos, cameras) = capture.training_views();
-                let (initial, _) =
-                    refinement::initial(session, init, Some(scene.clone()), cloud.as_ref(), &photos, &cameras)?;
+                let (initial, _) = refinement::initial(
+                    session,
+                    init,
+                    Some(scene.clone()),
+                    cloud.as_ref(),
+                    &photos,
+                    &cameras,
+                    eval.refine.settings.max_gaussians,
+                )?;
                 Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), choice, capture, steps)?)
             }
             (None, _) => None,

@@ -136,7 +136,7 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some(RefinedScene { refined, started, cameras, request }) = refined {
+        if let Some(RefinedScene { refined, started, cameras, request, .. }) = refined {
             text += &format!("{}\n", refinement::summary(refined, started, cameras));
             if self.explain {
                 let table = refinement::explain(refined, request, &self.refine.settings, started, photos);

@@ -78,7 +78,8 @@ impl Reconstruct {
             (From::Tokens, ..) => unreachable!("they were asked for"),
             (From::Scene(init), ..) => {
                 let network = inputs.forward.map(|forward| forward.scene.clone());
-                let (initial, took) = refinement::initial(session, init, network, cloud, &files, &cameras)?;
+                let (initial, took) =
+                    refinement::initial(session, init, network, cloud, &files, &cameras, settings.max_gaussians)?;
                 (scene, matched) = (initial, Some(took));
                 (Refinable::Scene(&scene), init.name())
             }

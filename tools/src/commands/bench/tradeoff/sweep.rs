@@ -257,7 +257,7 @@ impl Bench<'_> {
     ) -> Result<(Point, Image)> {
         let begin = Instant::now();
         let (photos, cameras) = case.capture.training_views();
-        let scene = init.scene(Some(forward.scene.clone()), case.cloud, &photos, &cameras, |_| stage.at(0.0))?;
+        let scene = init.scene(Some(forward.scene.clone()), case.cloud, &photos, &cameras, None, |_| stage.at(0.0))?;
         let matched_ms = 1e3 * begin.elapsed().as_secs_f64();
         let refined = self.refine(model, case, &scene, steps, stage)?;
         self.renderer.set_scene(&refined.scene)?;
