@@ -21,6 +21,7 @@ mod layout;
 mod lost;
 mod memory;
 mod notes;
+mod points;
 mod random_calls;
 mod refine;
 mod refine_tokens;
