@@ -59,7 +59,7 @@ pub fn initial(
     cameras: &[Camera],
     most: Option<usize>,
 ) -> Result<(Scene, Duration)> {
-    session.stage("match photos", |stage| init.scene(scene, cloud, photos, cameras, most, |done| stage.at(done)))
+    session.stage("stereo", |stage| init.scene(scene, cloud, photos, cameras, most, |done| stage.at(done)))
 }
 
 /// Returns whether a rerun has equal cameras, unlike COLMAP's.

@@ -201,7 +201,7 @@ impl Reconstruct {
         let separate = separate.flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took)));
         let mut times: Vec<(String, Duration)> = separate.collect();
         times.extend(forward.iter().flat_map(|forward| forward.times.clone()));
-        times.extend(refined.iter().filter_map(|made| Some(("match photos".to_owned(), made.matched?))));
+        times.extend(refined.iter().filter_map(|made| Some(("stereo".to_owned(), made.stereo_time?))));
         times.extend(refined.iter().map(|made| ("refine".to_owned(), made.refined.took)));
         let mut made = Finished { posed, found, forward, refined, device, scene, times };
         self.save(session, &mut made, &mut folder)?;

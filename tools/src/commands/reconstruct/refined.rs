@@ -33,7 +33,7 @@ pub struct RefinedScene {
     pub cameras: Vec<Camera>,
     pub request: RefineOptions,
     /// Time of the initialization.
-    pub matched: Option<Duration>,
+    pub stereo_time: Option<Duration>,
 }
 
 impl Reconstruct {
@@ -69,7 +69,7 @@ impl Reconstruct {
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
         let (head, scene);
-        let mut matched = None;
+        let mut stereo_time = None;
         let (from, started) = match (init, tokens, inputs.network) {
             (From::Tokens, Some(tokens), Network::Tokens(checkpoint)) => {
                 head = FrozenHead::load(inputs.device, checkpoint)?;
@@ -80,11 +80,11 @@ impl Reconstruct {
                 let network = inputs.forward.map(|forward| forward.scene.clone());
                 let (initial, took) =
                     refinement::initial(session, init, network, cloud, &files, &cameras, settings.max_gaussians)?;
-                (scene, matched) = (initial, Some(took));
+                (scene, stereo_time) = (initial, Some(took));
                 (Refinable::Scene(&scene), init.name())
             }
         };
         let refined = refinement::refine(session, &arena, from, files, known.as_ref(), &cameras, &request)?;
-        Ok(RefinedScene { refined, started, cameras, request, matched })
+        Ok(RefinedScene { refined, started, cameras, request, stereo_time })
     }
 }
