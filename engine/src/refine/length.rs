@@ -7,7 +7,7 @@ use std::{iter::successors, time::Duration};
 /// Fewest steps with growth or, without it, cleared floaters.
 pub(super) const GROWTH_FROM: usize = 50;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
-const PIXELS_PER_GAUSSIAN: f64 = 32.0;
+pub(super) const PIXELS_PER_GAUSSIAN: f64 = 32.0;
 const MOST_GROWTH: f64 = 16.0;
 /// Steps between which the limit grows with their square root: fewer Gaussians would stop gaining
 /// detail.

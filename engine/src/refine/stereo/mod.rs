@@ -3,7 +3,12 @@
 mod pairs;
 mod sweep;
 
-use super::{Photos, photos::PhotoCache, views::View};
+use super::{
+    Photos,
+    length::{PIXELS_PER_GAUSSIAN, sizes},
+    photos::PhotoCache,
+    views::View,
+};
 use crate::{
     Error, Result,
     types::{Camera, PointCloud},
@@ -42,7 +47,7 @@ struct Photo {
 
 /// Appends points to those of structure from motion, where three photos or more agree on a depth.
 /// Cameras are of the whole photos, in the points' world. At most `most` points result, unless
-/// more are given; `progress` gets the completed fraction.
+/// more are given, by default one per 32 pixels; `progress` gets the completed fraction.
 ///
 /// # Errors
 /// [`Error::Argument`] for an unusable photo or camera, [`Error::Cancelled`] from `progress`.
@@ -54,7 +59,11 @@ pub fn stereo_points(
     mut progress: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<PointCloud> {
     let given = cloud.positions.len();
-    let most_added = most.map_or(usize::MAX, |most| most.saturating_sub(given));
+    let by_default = || {
+        let pixels: f64 = sizes(photos, None, 1).map(|[width, height]| f64::from(width) * f64::from(height)).sum();
+        (pixels / PIXELS_PER_GAUSSIAN) as usize
+    };
+    let most_added = most.unwrap_or_else(by_default).saturating_sub(given);
     if photos.count() != cameras.len() {
         let expected = format!("one for each of {} photos", photos.count());
         return Err(Error::argument("cameras", cameras.len(), expected));
@@ -261,7 +270,8 @@ mod tests {
     }
 
     fn added(photos: &[Image], cameras: &[Camera], cloud: &PointCloud) -> Vec<[f32; 3]> {
-        let joined = stereo_points(&photos, cameras, cloud, None, |_| ControlFlow::Continue(())).expect("points");
+        let joined =
+            stereo_points(&photos, cameras, cloud, Some(usize::MAX), |_| ControlFlow::Continue(())).expect("points");
         assert_eq!(joined.positions.len(), joined.colors.len());
         let (given, added) = joined.positions.split_at(cloud.positions.len());
         assert_eq!(given, cloud.positions);
