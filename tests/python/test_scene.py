@@ -202,7 +202,8 @@ def test_renderers_take_arrays_and_scenes_points(scene: zipsplat.Scene, capture:
     points = np.random.default_rng(1).normal(size=(30, 3)) + [0, 0, 4]
     opened = zipsplat.Capture.open(capture)
     red = zipsplat.Scene.from_points(points, np.full((30, 3), [255, 0, 0]), opened.cameras)
-    assert len(zipsplat.Scene.from_points(points, images=opened)) >= 30
+    joined = zipsplat.Scene.from_points(points, images=opened)
+    assert np.array_equal(joined.means[:30], points.astype(np.float32))
     with pytest.raises(zipsplat.ArgumentError, match="cameras"):
         zipsplat.Scene.from_points(points, images=[np.zeros((20, 30, 3), np.uint8)] * 3)
     assert np.array_equal(red.means, points.astype(np.float32)) and len(zipsplat.Scene.from_points(points)) == 30

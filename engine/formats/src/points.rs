@@ -12,7 +12,6 @@ const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
 /// Few photos' views do not determine more.
 const DEGREE: u32 = 1;
-const GRAY: [u8; 3] = [128; 3];
 
 impl Scene {
     /// Creates an isotropic Gaussian per point. Its standard deviation is the root mean square
@@ -42,8 +41,9 @@ impl Scene {
             return Err(Error::argument("points to start from", found, "points at several places"));
         }
         let scales: Vec<[f32; 3]> = cloud.positions.par_iter().map(|at| [size(at); 3]).collect();
-        let color =
-            |i: usize| cloud.colors.get(i).unwrap_or(&GRAY).map(|value| (f32::from(value) / 255.0 - 0.5) / SH_0);
+        let color = |i: usize| {
+            cloud.colors.get(i).unwrap_or(&PointCloud::GRAY).map(|value| (f32::from(value) / 255.0 - 0.5) / SH_0)
+        };
         let scene = Scene {
             means: cloud.positions.clone(),
             scales,

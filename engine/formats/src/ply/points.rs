@@ -13,6 +13,11 @@ pub struct PointCloud {
     pub colors: Vec<[u8; 3]>,
 }
 
+impl PointCloud {
+    /// Color of points without one.
+    pub const GRAY: [u8; 3] = [128; 3];
+}
+
 /// Reads positions and 8-bit colors of a PLY's vertices.
 pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();

@@ -28,7 +28,7 @@ const CONFIRMING: f32 = 0.42;
 /// Fewest photos that confirm a point, and the relative difference of their depths.
 const AGREEING: usize = 2;
 const TOLERANCE: f64 = 0.01;
-/// Relative depth from which a photo sees through a point.
+/// Least depth in a photo that contradicts a point, relative to the point's.
 const BEYOND: f64 = 1.1;
 /// Relative difference of depths of a surface, and its fewest pixels in a window of nine.
 const SMOOTHNESS: f64 = 0.04;
@@ -36,7 +36,6 @@ const SMOOTH: usize = 6;
 /// Side of a point's cell: in pixels of the photo, and its least when matched.
 const CELL: f64 = 4.0;
 const MIN_CELL: f64 = 2.0;
-const GRAY: [u8; 3] = [128; 3];
 
 struct Photo {
     view: View,
@@ -82,7 +81,7 @@ pub fn stereo_points(
     let confirmed: Vec<_> =
         photos.par_iter().zip(&depths).map(|(photo, of)| confirmed(photo, of, &photos, &depths)).collect();
     let mut joined = cloud.clone();
-    joined.colors.resize(given, GRAY);
+    joined.colors.resize(given, PointCloud::GRAY);
     let mut taken: Vec<Vec<bool>> = photos.iter().map(|photo| vec![false; photo.gray.len()]).collect();
     take(&mut taken, &photos, &depths, &cloud.positions);
     for (i, photo) in photos.iter().enumerate() {

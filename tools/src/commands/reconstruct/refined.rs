@@ -32,7 +32,6 @@ pub struct RefinedScene {
     pub started: &'static str,
     pub cameras: Vec<Camera>,
     pub request: RefineOptions,
-    /// Time of the initialization.
     pub stereo_time: Option<Duration>,
 }
 
@@ -80,7 +79,7 @@ impl Reconstruct {
                 let network = inputs.forward.map(|forward| forward.scene.clone());
                 let (initial, took) =
                     refinement::initial(session, init, network, cloud, &files, &cameras, settings.max_gaussians)?;
-                (scene, stereo_time) = (initial, Some(took));
+                (scene, stereo_time) = (initial, init.needs()[1].then_some(took));
                 (Refinable::Scene(&scene), init.name())
             }
         };

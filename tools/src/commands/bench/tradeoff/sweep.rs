@@ -258,11 +258,11 @@ impl Bench<'_> {
         let begin = Instant::now();
         let (photos, cameras) = case.capture.training_views();
         let scene = init.scene(Some(forward.scene.clone()), case.cloud, &photos, &cameras, None, |_| stage.at(0.0))?;
-        let matched_ms = 1e3 * begin.elapsed().as_secs_f64();
+        let stereo_ms = 1e3 * begin.elapsed().as_secs_f64();
         let refined = self.refine(model, case, &scene, steps, stage)?;
         self.renderer.set_scene(&refined.scene)?;
         let drawn = compare(&mut self.renderer, case.capture)?;
-        let refine_ms = matched_ms + 1e3 * refined.took.as_secs_f64();
+        let refine_ms = stereo_ms + 1e3 * refined.took.as_secs_f64();
         let settings = match init {
             Initialization::Points => Point::of_points(case.capture.inputs.len(), case.precision),
             _ => self.settings(model, case, forward),
