@@ -20,7 +20,7 @@ use std::ops::ControlFlow;
 use sweep::{Depths, sweep};
 
 const MAX_SIDE: u32 = 160;
-/// Of more photos, a spread subset is matched.
+/// More are thinned evenly.
 const MAX_PHOTOS: usize = 64;
 /// Least correlation of a point, and of pixels that confirm it.
 const CORRELATED: f32 = 0.6;
@@ -44,9 +44,9 @@ struct Photo {
     cell_side: usize,
 }
 
-/// Appends points to those of structure from motion, where three photos or more agree on a depth.
-/// Cameras are of the whole photos, in the points' world. At most `most` points result, unless
-/// more are given, by default one per 32 pixels; `progress` gets the completed fraction.
+/// Appends points to those of structure from motion, where three photos or more agree on a depth,
+/// up to `most` in all, by default one per 32 pixels. Cameras are of the whole photos, in the
+/// points' world; `progress` gets the completed fraction.
 ///
 /// # Errors
 /// [`Error::Argument`] for an unusable photo or camera, [`Error::Cancelled`] from `progress`.
