@@ -86,7 +86,7 @@ impl Tile {
             (([2, 2], [64, 64]), 64),
         ];
         // CPUs emulate matrices by loops that compile slowly.
-        const CPU: &[(Layout, u32)] = &[(([2, 2], [16, 16]), 16), (([1, 1], [16, 16]), 16)];
+        const CPU: &[(Layout, u32)] = &[(([2, 2], [8, 8]), 16), (([1, 1], [16, 16]), 16)];
         let (shape, factor_bytes) = (units.shape, units.factor.bytes() as u32);
         let tile = |&(layout, bytes): &(Layout, u32)| {
             let k = if limits.cpu { 2 * shape.k } else { shape.k.next_multiple_of(bytes / factor_bytes) };

@@ -52,9 +52,11 @@ impl<'a> Stage<'a> {
             // Its drop after the body or a panic ends the wait.
             let (_done, done) = channel::<()>();
             let bar = &self.bar;
-            scope.spawn(move || {
-                if stderr().is_terminal() { show_bar(bar, &done) } else { print_lines(bar, &done, next_line) }
-            });
+            scope.spawn(
+                move || {
+                    if stderr().is_terminal() { show_bar(bar, &done) } else { print_lines(bar, &done, next_line) }
+                },
+            );
             body(self);
         });
         self.bar.finish_and_clear();
