@@ -42,7 +42,6 @@ pub fn area() -> Area {
     let sizes = || Catches::from([NoScale, NoTotal, NeighborHead, NeighborValue]);
     add("heads of 8 channels", 70, sizes(), |keys| Problem::random(9, keys, 8, 1.0));
     add("heads of 48 channels", 70, sizes(), |keys| Problem::random(9, keys, 48, 1.0));
-    add("heads of 96 channels", 70, sizes(), |keys| Problem::random(9, keys, 96, 1.0));
     add("heads of 128 channels", 70, sizes(), |keys| Problem::random(9, keys, 128, 1.0));
     let peaks = || Catches::from([NoMaximum, NeighborValue, NeighborHead]);
     add("logits of +-1e4", 325, peaks(), |keys| Problem::random(9, keys, 64, 120.0));
@@ -99,7 +98,7 @@ fn whole(mut problem: Problem, [q, k]: [fn(f32) -> f32; 2]) -> Problem {
 
 pub fn shapes() -> Area {
     let mut area = Area { cases: Vec::new(), ..area() };
-    for dim in [4, 8, 16, 24, 32, 48, 64, 96, 128] {
+    for dim in [4, 8, 16, 24, 32, 48, 64, 128] {
         let keys = [1, 2, 3, 4, 5, 31, 32, 33, 325, 1300];
         let make = move || keys.iter().flat_map(|&keys| variants(Problem::random(9, keys, dim, 1.0))).collect();
         area.sweep(format!("heads of {dim} channels"), 1300, [NeighborHead], make);
