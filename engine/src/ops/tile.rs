@@ -106,8 +106,8 @@ impl Tile {
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
         // Queries of a subgroup, subgroups, keys.
         const GPU: &[[u32; 3]] = &[[32, 4, 64], [32, 2, 64], [32, 4, 32], [32, 1, 32], [16, 4, 64], [16, 1, 32]];
-        // As of `linear`, the default compiles fast.
-        const CPU: &[[u32; 3]] = &[[8, 2, 16], [8, 1, 8]];
+        // The default compiles fast.
+        const CPU: &[[u32; 3]] = &[[8, 4, 8], [8, 1, 8], [16, 2, 16]];
         let Units { factor, shape, .. } = units;
         let tile = |&[queries, subgroups, keys]: &[u32; 3]| Self {
             subgroups: [subgroups, 1],
@@ -133,7 +133,7 @@ impl Tile {
     /// Candidates, larger first.
     pub fn nearest(limits: &Limits, units: Units) -> Vec<Self> {
         const GPU: &[Layout] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
-        const CPU: &[Layout] = &[([2, 2], [16, 8])];
+        const CPU: &[Layout] = &[([2, 2], [16, 8]), ([2, 2], [8, 8])];
         let shape = units.shape;
         // Mirrors kernels/cluster/nearest_matrix.comp.
         let shared_bytes = |tile: &Self| {

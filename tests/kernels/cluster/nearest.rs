@@ -130,17 +130,16 @@ fn what_is_no_number_is_never_nearest() {
 }
 
 #[test]
-fn tiles_of_gpus() {
-    // CPUs get smaller tiles, which compile faster.
-    let limits = Limits { cpu: false, ..device().limits().clone() };
+fn every_tile_finds_the_nearest() {
+    let limits = device().limits();
     let [points, targets] = [(16, 150), (17, 700)].map(|(seed, rows)| random(seed, rows * 100));
     for kernel in nearest_kernels() {
         let NearestKernel::Matrix(units) = kernel else { continue };
-        let tiles = Tile::nearest(&limits, units);
+        let tiles = Tile::nearest(limits, units);
         assert!(!tiles.is_empty());
         for (index, tile) in tiles.iter().enumerate() {
             let kernel = NearestKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
-            let (chosen, origin) = find(&limits, kernel, [&points, &targets], 100, None);
+            let (chosen, origin) = find(limits, kernel, [&points, &targets], 100, None);
             let chosen = Chosen { targets: chosen, origin: Some(origin) };
             let worst = NearestTruth::new(&points, &targets, 100).excess(&chosen, 100);
             assert!(worst.share <= 1.0, "{tile:?}: {worst:?}");

@@ -78,27 +78,20 @@ fn reading_by_address_changes_no_bit() {
 
 #[test]
 fn tiles_change_no_bit() {
-    let mut layer = layer([270, 72, 260], Activation::Gelu);
+    let layer = layer([270, 72, 260], Activation::Gelu);
     let units: Vec<Units> = Element::FACTORS.into_iter().filter_map(|f| Units::of(f, device().limits())).collect();
     let matrix = |units| LinearKernel::Matrix(units, Weights::Factors);
     let kernels = units.iter().map(|units| matrix(*units)).chain([panels(Element::F32, Tiles::BY_RULE)]);
     let expected: Vec<_> = kernels.map(|kernel| bits(&layer, kernel, Element::F32)).collect();
-    // CPUs get smaller tiles, which compile faster.
-    let of_gpus: fn(&mut Limits) = |limits| limits.cpu = false;
-    for change in [|_: &mut Limits| (), of_gpus] {
-        layer.limits = change;
-        let mut limits = device().limits().clone();
-        change(&mut limits);
-        for (units, expected) in units.iter().zip(&expected) {
-            for (index, tile) in Tile::linear(&limits, *units).iter().enumerate() {
-                let kernel = matrix(Units { tiles: Tiles::always(index), ..*units });
-                assert_same(&format!("{:?} {tile}", units.factor), &bits(&layer, kernel, Element::F32), expected);
-            }
+    for (units, expected) in units.iter().zip(&expected) {
+        for (index, tile) in Tile::linear(device().limits(), *units).iter().enumerate() {
+            let kernel = matrix(Units { tiles: Tiles::always(index), ..*units });
+            assert_same(&format!("{:?} {tile}", units.factor), &bits(&layer, kernel, Element::F32), expected);
         }
-        for (index, tile) in LaneTile::candidates(&limits, Element::F32).iter().enumerate() {
-            let kernel = panels(Element::F32, Tiles::always(index));
-            assert_same(&tile.to_string(), &bits(&layer, kernel, Element::F32), &expected[units.len()]);
-        }
+    }
+    for (index, tile) in LaneTile::candidates(device().limits(), Element::F32).iter().enumerate() {
+        let kernel = panels(Element::F32, Tiles::always(index));
+        assert_same(&tile.to_string(), &bits(&layer, kernel, Element::F32), &expected[units.len()]);
     }
 }
 
@@ -152,18 +145,14 @@ fn dot_products_give_the_bits_of_matrix_units() {
 
 #[test]
 fn every_tile_of_dot_products_gives_the_same_bits() {
-    for cpu in [false, true] {
-        let limits = Limits { cpu, ..device().limits().clone() };
-        let tiles = if limits.dot_products { LaneTile::candidates(&limits, Element::I8) } else { Vec::new() };
-        for shape in [[270, 72, 264], [5, 8, 8]] {
-            let mut layer = layer(shape, Activation::Gelu);
-            for (index, tile) in tiles.iter().enumerate() {
-                let expected = bits(&layer, DOTS, Element::F32);
-                layer.limits = if cpu { |limits| limits.cpu = true } else { |limits| limits.cpu = false };
-                let found = bits(&layer, LinearKernel::Dots(Tiles::always(index)), Element::F32);
-                layer.limits = |_| ();
-                assert_same(&format!("{tile} {shape:?}"), &found, &expected);
-            }
+    let limits = device().limits();
+    let tiles = if limits.dot_products { LaneTile::candidates(limits, Element::I8) } else { Vec::new() };
+    for shape in [[270, 72, 264], [5, 8, 8]] {
+        let layer = layer(shape, Activation::Gelu);
+        let expected = bits(&layer, DOTS, Element::F32);
+        for (index, tile) in tiles.iter().enumerate() {
+            let found = bits(&layer, LinearKernel::Dots(Tiles::always(index)), Element::F32);
+            assert_same(&format!("{tile} {shape:?}"), &found, &expected);
         }
     }
 }

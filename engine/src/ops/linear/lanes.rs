@@ -70,7 +70,11 @@ impl LaneTile {
             LaneTile { sides: [128, 64], lane: [8, 8], k: 32 },
             LaneTile { sides: [64, 64], lane: [4, 4], k: 64 },
         ];
-        let cpu = [LaneTile { sides: [16, 4 * limits.subgroup_size], lane: [4, 4], k: 32 }];
+        let columns = 4 * limits.subgroup_size;
+        let cpu = [
+            LaneTile { sides: [16, columns], lane: [4, 4], k: 32 },
+            LaneTile { sides: [8, 2 * columns], lane: [2, 4], k: 64 },
+        ];
         // Mirrors kernels/ops/linear_dot.comp.
         let shared_bytes = |tile: &Self| 8 * tile.sides.iter().sum::<u32>() * (tile.k / 8 + 1);
         let tiles = if limits.cpu { &cpu } else { GPU }.iter().copied();

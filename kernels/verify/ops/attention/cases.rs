@@ -3,7 +3,10 @@ use super::{
     Problem,
 };
 use crate::prelude::*;
-use zipsplat::{kernels::limits::ATTENTION_ROWS, ops::Pool};
+use zipsplat::{
+    kernels::limits::ATTENTION_ROWS,
+    ops::{Pool, Tiles},
+};
 
 const REASON: &str = "a score is off by d <= gamma_(D+2) sum|q k|, so its weight by a factor e^d times exp's allowance, 3 + 2|x| \
     units for |x| below the row's maximum and 3 more each time that the maximum rises; an output by the weights' sum \
@@ -143,13 +146,12 @@ pub fn shapes() -> Area {
         [of(24, 33), of(64, 1), of(64, 325), of(128, 70), logits, pooled].into()
     };
     area.sweep("weights through shared memory", 325, [NeighborHead], stored);
-    // CPUs get smaller tiles, which compile faster.
     let tiles = || {
-        // Wide heads take minutes to compile.
-        let plain: fn(&mut Limits) = |limits| (limits.cpu, limits.matrices.conversions) = (false, false);
-        let converting: fn(&mut Limits) = |limits| limits.cpu = false;
+        let plain: fn(&mut Limits) = |limits| limits.matrices.conversions = false;
+        let converting: fn(&mut Limits) = |_| ();
         let of = |limits, [heads, queries, keys, dim]: [usize; 4]| Problem {
             limits,
+            tiles: Tiles::always(2),
             is_tame: true,
             ..Problem::of([1, heads], queries, keys, dim, 1.0)
         };
@@ -161,7 +163,7 @@ pub fn shapes() -> Area {
         ]
         .into()
     };
-    area.sweep("tiles of GPUs", 70, [NeighborValue], tiles);
+    area.sweep("the third tile", 70, [NeighborValue], tiles);
     area
 }
 

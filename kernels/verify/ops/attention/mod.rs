@@ -9,7 +9,7 @@ use crate::prelude::*;
 use faults::Fault;
 use keys::Keys;
 use rayon::prelude::*;
-use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Pool};
+use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Pool, Tiles, Units};
 use zipsplat_reference::ops::{attention::attention_to_means, split_heads};
 
 /// Before pooling: `q [sequences, queries, heads, dim]`, `k` and `v [sequences, keys, heads, dim]`.
@@ -19,6 +19,7 @@ struct Problem {
     heads: usize,
     dim: usize,
     limits: fn(&mut Limits),
+    tiles: Tiles,
     /// Scores whose rounding tests hold to that of random sums.
     is_tame: bool,
     pool: Option<Pool>,
@@ -50,7 +51,18 @@ impl Problem {
         let row = sequences * heads * dim;
         let [mut q, mut k] = [queries, keys].map(|tokens| noise.values(tokens * row));
         q.iter_mut().chain(&mut k).for_each(|x| *x *= size);
-        Self { sequences, heads, dim, limits: |_| (), is_tame: false, pool: None, q, k, v: noise.values(keys * row) }
+        Self {
+            sequences,
+            heads,
+            dim,
+            limits: |_| (),
+            tiles: Tiles::BY_RULE,
+            is_tame: false,
+            pool: None,
+            q,
+            k,
+            v: noise.values(keys * row),
+        }
     }
 
     fn width(&self) -> usize {
@@ -100,9 +112,9 @@ impl Problem {
         Truth { values, bounds, sequences: vec![(rows, keys)] }
     }
 
-    fn kernel(mode: Mode, device: &Device) -> AttentionKernel {
+    fn kernel(&self, mode: Mode, device: &Device) -> AttentionKernel {
         match mode.units(device) {
-            Some(units) => AttentionKernel::Matrix(units),
+            Some(units) => AttentionKernel::Matrix(Units { tiles: self.tiles, ..units }),
             None => AttentionKernel::Lanes(mode.factor),
         }
     }
@@ -118,7 +130,7 @@ impl case::Problem for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
-        let (kernel, width) = (Self::kernel(mode, device), self.width());
+        let (kernel, width) = (self.kernel(mode, device), self.width());
         let (sequences, queries) = (self.parts(), self.q.len() / self.parts() / width);
         let (common_keys, keys) = match self.pool {
             Some(pool) => (pool.keys_of(self.tokens()), if pool.own { pool.tokens() } else { 0 }),
