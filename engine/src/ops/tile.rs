@@ -106,7 +106,6 @@ impl Tile {
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
         // Queries of a subgroup, subgroups, keys.
         const GPU: &[[u32; 3]] = &[[32, 4, 64], [32, 2, 64], [32, 4, 32], [32, 1, 32], [16, 4, 64], [16, 1, 32]];
-        // The default compiles fast.
         const CPU: &[[u32; 3]] = &[[8, 4, 8], [8, 1, 8], [16, 2, 16]];
         let Units { factor, shape, .. } = units;
         let tile = |&[queries, subgroups, keys]: &[u32; 3]| Self {
