@@ -13,8 +13,7 @@ pub fn examine(family: &str) {
     assert!(outside.is_empty(), "outside their bounds:\n{}", outside.join("\n"));
 }
 
-/// Examines every second mode: modes share few compiled kernels. Returns the number of cases, and
-/// those outside.
+/// Every second mode. Returns the number of cases, and those outside.
 fn examine_share(family: &str, worker: usize) -> (usize, Vec<String>) {
     let (mut count, mut outside) = (0, Vec::new());
     let areas = catalog().into_iter().chain(shapes()).filter(|area| area.kernel.starts_with(family));
