@@ -52,11 +52,9 @@ impl<'a> Stage<'a> {
             // Its drop after the body or a panic ends the wait.
             let (_done, done) = channel::<()>();
             let bar = &self.bar;
-            scope.spawn(
-                move || {
-                    if stderr().is_terminal() { show_bar(bar, &done) } else { print_lines(bar, &done, next_line) }
-                },
-            );
+            let show =
+                move || if stderr().is_terminal() { show_bar(bar, &done) } else { print_lines(bar, &done, next_line) };
+            scope.spawn(show);
             body(self);
         });
         self.bar.finish_and_clear();
