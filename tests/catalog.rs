@@ -18,8 +18,8 @@ fn examine_share(family: &str, worker: usize) -> (usize, Vec<String>) {
     let (mut count, mut outside) = (0, Vec::new());
     let areas = catalog().into_iter().chain(shapes()).filter(|area| area.kernel.starts_with(family));
     for area in areas {
-        let modes = area.modes.iter().skip(worker).step_by(2).filter(|mode| mode.is_on(device().limits()));
-        for (mode, case) in modes.flat_map(|mode| area.cases.iter().map(move |case| (*mode, case))) {
+        let modes = area.supported_modes(device().limits()).skip(worker).step_by(2);
+        for (mode, case) in modes.flat_map(|mode| area.cases.iter().map(move |case| (mode, case))) {
             let found = area.examine(case, device(), mode).unwrap();
             count += 1;
             let (mode, share) = (mode.name(), found.worst.share);

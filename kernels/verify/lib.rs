@@ -167,7 +167,7 @@ impl Mode {
         }
     }
 
-    pub fn is_on(self, limits: &Limits) -> bool {
+    fn is_on(self, limits: &Limits) -> bool {
         let stored = self.factor == Element::F32 || limits.half_storage;
         let tiled = !self.tiled || LaneTile::candidates(limits, self.factor).len() > 1;
         let multiplied = self.matrix || self.factor != Element::I8 || limits.dot_products;
@@ -260,10 +260,13 @@ impl Area {
         self.cases.push(Case::sweep(name, size, faults, make));
     }
 
+    pub fn supported_modes(&self, limits: &Limits) -> impl Iterator<Item = Mode> {
+        self.modes.iter().copied().filter(|mode| mode.is_on(limits))
+    }
+
     /// Returns the cases in every supported mode.
     pub fn on(&self, limits: &Limits) -> impl Iterator<Item = (&Case, Mode)> {
-        let modes = self.modes.iter().copied().filter(|mode| mode.is_on(limits));
-        modes.flat_map(|mode| self.cases.iter().map(move |case| (case, mode)))
+        self.supported_modes(limits).flat_map(|mode| self.cases.iter().map(move |case| (case, mode)))
     }
 
     /// Computes a case on a device. A driver error becomes a failed finding.

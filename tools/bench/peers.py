@@ -14,9 +14,9 @@ the few rows or columns that the photo lacks. Sides are multiples of 4, since tr
 quarter of the size. By default it doubles the size after 3,000 and 6,000 steps. On one thread, 200
 steps measure its speed for the shortest time. Runs are repeated with corrected numbers of steps
 until one ends with at least 0.85 of the CPU time. At the limit a run is killed; its last saved
-scene counts if no run ends in time. Build OpenSplat with zeros as backgroundColor in model.hpp, as
-zipsplat's, and with contiguous camDepths in gsplat_cpu.cpp: PyTorch 2.15 gives strided ones, which
-it reads wrongly (training photos of fox: 18 instead of 22 dB).
+scene counts if no run ends in time. Build OpenSplat with zeros as backgroundColor in model.hpp, for
+zipsplat's black background, and with contiguous camDepths in gsplat_cpu.cpp: of PyTorch 2.15's
+strided ones it reads the wrong values.
 """
 
 import argparse

@@ -23,8 +23,8 @@ pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
         env!("CARGO_PKG_VERSION"),
     );
     for area in areas {
-        for mode in area.modes.iter().filter(|mode| mode.is_on(limits)) {
-            let found: Vec<&Finding> = findings.iter().filter(|f| f.kernel == area.kernel && f.mode == *mode).collect();
+        for mode in area.supported_modes(limits) {
+            let found: Vec<&Finding> = findings.iter().filter(|f| f.kernel == area.kernel && f.mode == mode).collect();
             out += &format!(
                 "<h2>{}, {}</h2><p>{}.</p>{}{}",
                 escape(area.kernel),
