@@ -43,6 +43,7 @@ mod ops {
 mod refine {
     pub mod adam;
     pub mod anisotropy;
+    pub mod dropout;
     pub mod exposure;
 }
 mod render {
@@ -331,6 +332,7 @@ pub fn catalog() -> Vec<Area> {
         ops::gelu::area(),
         refine::adam::area(),
         refine::anisotropy::area(),
+        refine::dropout::area(),
         refine::exposure::area(),
     ]
 }

@@ -59,6 +59,7 @@ mod ops {
 mod refine {
     mod adam;
     mod anisotropy;
+    mod dropout;
     mod exposure;
 }
 mod render {

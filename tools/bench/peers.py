@@ -11,12 +11,10 @@ Finished runs are read from FOLDER. Needs Pillow and a built zipsplat, or $ZIPSP
 
 OpenSplat ignores principal points: its crops have eval's scale but are centered on them, without
 the few rows or columns that the photo lacks. Sides are multiples of 4, since training starts at a
-quarter of the size. By default it doubles the size after 3,000 and 6,000 steps. On one thread, 200
-steps measure its speed for the shortest time. Runs are repeated with corrected numbers of steps
-until one ends with at least 0.85 of the CPU time. At the limit a run is killed; its last saved
-scene counts if no run ends in time. Build OpenSplat with zeros as backgroundColor in model.hpp, for
-zipsplat's black background, and with contiguous camDepths in gsplat_cpu.cpp: of PyTorch 2.15's
-strided ones it reads the wrong values.
+quarter of the size. It runs on one thread. Runs are repeated with other numbers of steps until one
+ends with at least 0.85 of the CPU time; of killed ones, the last saved scene counts. Build it with
+zeros as backgroundColor in model.hpp, zipsplat's background, and with contiguous camDepths in
+gsplat_cpu.cpp: it misreads PyTorch 2.15's strided ones.
 """
 
 import argparse

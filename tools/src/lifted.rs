@@ -1,7 +1,7 @@
 //! Values of photos, and features beside a scene.
 
 use crate::{
-    cameras::{Similarity, to_scene},
+    cameras::{Similarity, WorldPhoto, to_scene},
     depth::PredictorOptions,
     npy,
     options::{ArithmeticOption, Network, Size, Weights},
@@ -40,17 +40,15 @@ pub struct PosedPhotos {
     /// Cameras of the photos: transforms.json or a COLMAP model's folder
     #[arg(long, value_name = "PATH")]
     cameras: PathBuf,
-    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
-    /// cameras' world]
-    #[arg(long, value_name = "PHOTO")]
-    relative_to: Option<PathBuf>,
+    #[command(flatten)]
+    world_photo: WorldPhoto,
 }
 
 impl PosedPhotos {
     pub fn open(&self, session: &mut Session<'_>, world: Option<&World>) -> Result<(Capture, Similarity)> {
         let capture = Capture::open(&self.cameras)?;
         session.notes(&capture.warnings);
-        let (to_scene, note) = to_scene(self.relative_to.as_deref(), &capture, world, &self.cameras)?;
+        let (to_scene, note) = to_scene(self.world_photo.relative_to.as_deref(), &capture, world, &self.cameras)?;
         session.notes(note);
         Ok((capture, to_scene))
     }

@@ -4,7 +4,7 @@ use super::{
     Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
     checkpoint::State,
     growth::padded,
-    planned::{PhotoLoss, PhotoPlan, Training, record_photos},
+    planned::{PhotoLoss, PhotoPlan, StepInputs, Training, record_photos},
     record_adam, record_anisotropy_limit,
     views::View,
 };
@@ -12,6 +12,7 @@ use crate::{
     Error, Result,
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     perceptual::{LpipsWeights, Perceptual},
+    random::Random,
     stages::render::{FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, SceneTensors, first_capacity},
     types::{Scene, unit_quaternion},
 };
@@ -57,6 +58,8 @@ pub(super) struct Gaussians {
     /// Tokens and their moments, if refined, and the plan that decodes them.
     pub(super) tokens: Option<([Tensor; 3], Run)>,
     options: RefineOptions,
+    /// Fraction that a step hides.
+    pub dropout: f64,
     learns_exposures: bool,
     clear: Run,
     /// Also clears the gradients.
@@ -64,7 +67,7 @@ pub(super) struct Gaussians {
     schedule: Tensor,
     cleared: bool,
     /// Of the current step.
-    depth_weight: f32,
+    inputs: StepInputs,
     lpips: Option<LpipsWeights>,
     steps: u32,
     /// By size, masks and depth.
@@ -86,7 +89,7 @@ impl Gaussians {
         let rates = [(means * scene_distance as f32).into(), scales.into(), quats.into(), opacities.into(), harmonics];
         let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
         let eps = [MEANS_EPS / scene_distance as f32, EPS, EPS, EPS, EPS];
-        let penalties = [0.0, options.scale_penalty / (3.0 * scene_distance as f32), 0.0, options.opacity_penalty, 0.0];
+        let penalties = [0.0, options.scale_penalty / (3.0 * scene_distance as f32), 0.0, 0.0, 0.0];
         let field = |i: usize| Field {
             values: values.all()[i],
             gradient: gradients[i],
@@ -134,12 +137,13 @@ impl Gaussians {
             gradients: Gradients { scene: Some(d_scene), cameras: None },
             tokens: None,
             options: options.clone(),
+            dropout: 0.0,
             learns_exposures: false,
             clear,
             update: update.in_flight()?,
             schedule,
             cleared: false,
-            depth_weight: 0.0,
+            inputs: StepInputs::default(),
             lpips,
             steps: 0,
             plans: PlanCache::new(limits, capacity).holding(PLANS),
@@ -148,7 +152,8 @@ impl Gaussians {
     }
 
     pub fn step(&mut self, views: &[&View], [rate, depth_weight]: [f32; 2]) -> Result<Vec<PhotoLoss>> {
-        self.depth_weight = depth_weight;
+        self.inputs =
+            StepInputs { depth_weight, dropout_key: Random::nth(self.options.seed, self.steps.into()) as u32 };
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
         let found = loop {
@@ -168,7 +173,7 @@ impl Gaussians {
 
     /// `None` if the capacity was exceeded; it then grows.
     fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<PhotoLoss>>> {
-        let (mut found, depth_weight) = (Vec::new(), self.depth_weight);
+        let (mut found, depth_weight) = (Vec::new(), self.inputs.depth_weight);
         for alike in views.chunk_by(|a, b| a.size == b.size) {
             let mut left = alike;
             while !left.is_empty() {
@@ -232,9 +237,9 @@ impl Gaussians {
     /// Runs the plan of photos of one size; `None` after an overflow, which enlarges the next.
     fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
         self.cleared &= !backward;
-        let depth_weight = self.depth_weight;
+        let inputs = self.inputs;
         let plan = self.plan(views, backward)?;
-        plan.write(views, depth_weight)?;
+        plan.write(views, inputs)?;
         plan.run.execute()?;
         let needed = plan.recorded.outputs.needed(&plan.run)?;
         self.plans.fitting(needed)
@@ -256,6 +261,7 @@ impl Gaussians {
                 options: &self.options,
                 gradients: &self.gradients,
                 lpips,
+                dropout: self.dropout,
                 exposure: self.learns_exposures,
                 masked,
                 depth,
@@ -316,9 +322,9 @@ impl Gaussians {
         let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(most).collect();
         // Until no intersection overflows.
         while self.run(&alike, true)?.is_none() {}
-        let depth_weight = self.depth_weight;
+        let inputs = self.inputs;
         let plan = self.plan(&alike, true)?;
-        plan.write(&alike, depth_weight)?;
+        plan.write(&alike, inputs)?;
         let mut profile = plan.run.profile()?;
         self.update.write(self.schedule, &ADAM.schedule(0.0, self.steps.max(1)))?;
         profile.rows.extend(self.update.profile()?.rows);

@@ -6,6 +6,9 @@ use std::{iter::successors, time::Duration};
 
 /// Fewest steps with growth or, without it, cleared floaters.
 pub(super) const GROWTH_FROM: usize = 50;
+/// Largest dropout, and uses of a photo from which it starts and is the largest.
+const DROPOUT: f64 = 0.1;
+const DROPOUT_USES: [f64; 2] = [100.0, 300.0];
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 pub(super) const PIXELS_PER_GAUSSIAN: f64 = 32.0;
 const MOST_GROWTH: f64 = 16.0;
@@ -15,6 +18,13 @@ pub(super) const DETAIL: [usize; 2] = [200, 800];
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
 const ENOUGH_STEPS: u32 = 150;
 const SHORTEST: u32 = 240;
+
+/// Fraction of the Gaussians that a step hides.
+pub(super) fn dropout(options: &RefineOptions, steps: f64, training: usize) -> f64 {
+    let uses = steps * options.views_per_step as f64 / training as f64;
+    let [none, all] = DROPOUT_USES;
+    DROPOUT * ((uses - none) / (all - none)).clamp(0.0, 1.0)
+}
 
 /// Number of Gaussians that a scene of `len` grows to, if any.
 pub(super) fn grown_len(
@@ -129,6 +139,12 @@ mod tests {
         assert_eq!([wide, tall].map(|size| fitted(size, half, 1)), [[800, 500], [500, 800]]);
         assert_eq!(half_size(&photos, half), Some([400, 400]));
         assert_eq!(half_size(&photos, Some([400, 400])), None);
+    }
+
+    #[test]
+    fn many_uses_of_photos_hide_gaussians() {
+        let hidden = |steps: f64| dropout(&RefineOptions::default(), steps, 16);
+        assert_eq!([0.0, 400.0, 800.0, 1200.0, f64::INFINITY].map(hidden), [0.0, 0.0, 0.05, 0.1, 0.1]);
     }
 
     #[test]

@@ -5,6 +5,7 @@ mod anisotropy;
 mod cameras;
 mod checkpoint;
 mod depth;
+mod dropout;
 mod exposed;
 mod exposure;
 mod free_space;
@@ -27,6 +28,7 @@ pub use adam::{Adam, Rate, Space, record_adam};
 pub use anisotropy::record_anisotropy_limit;
 pub use cameras::PoseAdam;
 pub use checkpoint::RefineCheckpoint;
+pub use dropout::record_dropout;
 pub use exposed::{EXPOSURE_NUMBERS, Exposed};
 pub use options::{DepthLoss, Exposure, LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use photos::Photos;
@@ -44,7 +46,7 @@ use checkpoint::{hashed, hashed_scene, identity};
 use gaussians::Gaussians;
 use glam::DVec3;
 use growth::padded;
-use length::{grown_len, size_in_time, sizes, steps_in_time};
+use length::{dropout, grown_len, size_in_time, sizes, steps_in_time};
 use pace::{Pace, Work};
 use photos::PhotoCache;
 use refinement::{Refinement, Saving};
@@ -230,7 +232,10 @@ fn run(
         PhotoCache::new(photos, options.max_image_size, options.coarse_to_fine, options.max_photo_bytes, depth)
     };
     let refinement = |cameras: &[Camera], options: RefineOptions, steps: usize, cached| {
-        let (gaussians, scene, scene_distance) = make(&arena, &options)?;
+        let (mut gaussians, scene, scene_distance) = make(&arena, &options)?;
+        if len.is_some() {
+            gaussians.dropout = dropout(&options, steps as f64, count - options.holdout_views.unwrap_or(0));
+        }
         Refinement::new(gaussians, scene, scene_distance, cached, cameras, options, steps)
     };
     let grow = |options: &RefineOptions, steps: usize| {

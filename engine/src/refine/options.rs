@@ -73,8 +73,6 @@ pub struct RefineOptions {
     /// steps on and below a training PSNR of 25 dB, one per 32 pixels of the photos, at most 16
     /// times the scene's number; from 200 steps on more, up to twice as many at 800.
     pub max_gaussians: Option<usize>,
-    /// Factor of the mean opacity in the loss.
-    pub opacity_penalty: f32,
     /// Factor of the mean scale in the loss, over the scene scale. Ignored for tokens.
     pub scale_penalty: f32,
     /// Whether the first half of the steps uses downscaled photos.
@@ -109,7 +107,6 @@ impl Default for RefineOptions {
             exposure: Exposure::Auto,
             antialiased: None,
             max_gaussians: None,
-            opacity_penalty: 0.0,
             scale_penalty: 0.1,
             coarse_to_fine: true,
             batch_size: None,

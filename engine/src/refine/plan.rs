@@ -1,7 +1,7 @@
 use super::{
-    Adam, Exposure, RefineOptions, Space, filled,
+    Adam, Exposure, RefineLength, RefineOptions, Space, filled,
     gaussians::{batch_size, max_batch},
-    length::grown_len,
+    length::{dropout, grown_len},
     planned::{Training, record_photos},
     record_adam,
     schedule::Schedule,
@@ -58,6 +58,7 @@ pub fn plan_refinement(
     options: &RefineOptions,
 ) -> Result<RefinePlan> {
     let options = filled(options, photos)?;
+    let training = photos - options.holdout_views.unwrap_or(0);
     if let Moved::Tokens(..) = moved {
         tokens_grow_not(&options)?;
     }
@@ -109,7 +110,12 @@ pub fn plan_refinement(
     let lpips = weights.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(d_scene), cameras: None };
     let exposure = options.exposure == Exposure::On;
-    let training = Training { options: &options, gradients: &gradients, lpips, exposure, masked, depth: true };
+    let dropout = match (moved, options.length) {
+        (Moved::Tokens(..), _) => 0.0,
+        (_, RefineLength::Steps(steps)) => dropout(&options, steps as f64, training),
+        (_, RefineLength::Time(_)) => dropout(&options, f64::INFINITY, training),
+    };
+    let training = Training { options: &options, gradients: &gradients, lpips, dropout, exposure, masked, depth: true };
     record_steps(limits, &mut plans, &scene, [width, height], training)?;
     Ok(RefinePlan { kept_bytes, plans })
 }

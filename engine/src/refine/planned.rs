@@ -1,5 +1,6 @@
 use super::{
     PerceptualLoss, RefineOptions,
+    dropout::record_dropout,
     exposed::{COLORS, EXPOSURE_NUMBERS, Exposed},
     views::View,
 };
@@ -33,6 +34,8 @@ pub(super) struct Recorded {
 
 #[derive(Clone, Copy)]
 pub(super) struct Learning {
+    /// Key of the hidden Gaussians, `[1]`, unless all are shown.
+    pub dropout_key: Option<Tensor>,
     /// `[cameras, height, width, 3]` bytes, in whole words.
     pub photos: Tensor,
     /// `[cameras, height, width]` bytes, in whole words, if photos have masks.
@@ -63,10 +66,19 @@ pub(super) struct Training<'a> {
     pub options: &'a RefineOptions,
     pub gradients: &'a Gradients,
     pub lpips: Option<&'a Lpips>,
+    /// Fraction of the Gaussians to hide.
+    pub dropout: f64,
     pub exposure: bool,
     pub masked: bool,
     /// Whether any photo has depth, for the depth loss.
     pub depth: bool,
+}
+
+/// What differs between steps.
+#[derive(Clone, Copy, Default)]
+pub(super) struct StepInputs {
+    pub depth_weight: f32,
+    pub dropout_key: u32,
 }
 
 pub(super) struct PhotoLoss {
@@ -88,10 +100,13 @@ pub(super) fn record_photos(
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
-    let Some(Training { options, gradients, lpips, exposure, masked, depth }) = training else {
+    let Some(Training { options, gradients, lpips, dropout, exposure, masked, depth }) = training else {
         let outputs = FrameInputs { scene, cameras, shape, options: drawing, capacity }.record(rec);
         return Recorded { cameras, learning: None, outputs };
     };
+    let dropout_key = (dropout > 0.0).then(|| rec.input::<u32>("dropout_key", 1));
+    let shown = |key| record_dropout(rec, scene.opacities, key, dropout, scene.len);
+    let scene = &SceneTensors { opacities: dropout_key.map_or(scene.opacities, shown), ..*scene };
     let d_cameras = options.optimize_cameras.then(|| {
         let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", count);
         rec.fill(d_cameras, 0);
@@ -136,7 +151,8 @@ pub(super) fn record_photos(
             (DepthTensors { targets, weight, share: scale, value }, d_frames)
         });
         let (depth, d_frames) = depths.map_or((None, d_frames), |(depth, d_frames)| (Some(depth), d_frames));
-        learning = Some(Learning { photos, masks, losses: value, perceptual, d_cameras, exposures, depth });
+        learning =
+            Some(Learning { dropout_key, photos, masks, losses: value, perceptual, d_cameras, exposures, depth });
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
@@ -170,10 +186,13 @@ fn record_perceptual(
 }
 
 impl PhotoPlan {
-    pub fn write(&mut self, views: &[&View], depth_weight: f32) -> Result<()> {
+    pub fn write(&mut self, views: &[&View], StepInputs { depth_weight, dropout_key: bits }: StepInputs) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;
-        if let Some(Learning { photos, masks, exposures, depth, .. }) = self.recorded.learning {
+        if let Some(Learning { dropout_key, photos, masks, exposures, depth, .. }) = self.recorded.learning {
+            if let Some(key) = dropout_key {
+                self.run.write(key, &[bits])?;
+            }
             let bytes: Vec<&[u8]> = views.iter().map(|view| view.image.rgb.as_slice()).collect();
             self.run.write(photos, &bytes.concat())?;
             if let Some(masks) = masks {

@@ -81,8 +81,7 @@ pub(super) fn gaussians(
         record_adam(rec, ADAM, moved, d_tokens, [first, second], schedule, rate, Space::Linear, len);
     });
     head.record_kept(&mut rec, moved, &kept, &scene);
-    let mut gradients = d_scene.all().map(|gradient| (gradient, 0.0));
-    gradients[3].1 = options.opacity_penalty / len as f32;
+    let gradients = d_scene.all().map(|gradient| (gradient, 0.0));
     record_fills(&mut rec, gradients.into_iter());
     let memories = vec![memory, weights.clone()];
     let update = Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?;

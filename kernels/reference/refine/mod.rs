@@ -1,3 +1,4 @@
 pub mod adam;
 pub mod anisotropy;
+pub mod dropout;
 pub mod exposure;

@@ -32,26 +32,40 @@ fn same(a: &RefineResult, b: &RefineResult) -> bool {
     a.scene == b.scene && a.cameras == b.cameras && a.exposures == b.exposures && of(a) == of(b)
 }
 
-#[test]
-fn floaters_are_cleared_alike_when_continued() {
-    let cameras = cameras(4);
-    let (scene, photos) = photos(&cameras);
+fn assert_continues(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &RefineOptions, ends: [usize; 2]) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("checkpoint.safetensors");
     let until = |end: usize, checkpoint: Option<RefineCheckpoint>| {
         let progress = |now: RefineProgress<'_>| {
             if now.step == end { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
-        let options = RefineOptions { checkpoint, ..with_large_steps_of_scales() };
-        refine_scene(&Arena::new(device()), &moved(&scene), white(&photos), &cameras, &options, progress).unwrap()
+        let options = RefineOptions { checkpoint, ..request.clone() };
+        refine_scene(&Arena::new(device()), scene, photos, cameras, &options, progress).unwrap()
     };
     let whole = until(usize::MAX, None);
-    for end in [2, 4] {
+    for end in ends {
         until(end, options(&path).checkpoint);
         let finished = until(usize::MAX, options(&path).checkpoint);
         assert!(same(&finished, &whole) && finished.resumed_step == end, "after step {end}");
         std::fs::remove_file(&path).unwrap();
     }
+}
+
+#[test]
+fn floaters_are_cleared_alike_when_continued() {
+    let cameras = cameras(4);
+    let (scene, photos) = photos(&cameras);
+    assert_continues(&moved(&scene), &white(&photos), &cameras, &with_large_steps_of_scales(), [2, 4]);
+}
+
+#[test]
+fn many_uses_of_photos_hide_gaussians_alike_when_continued() {
+    let cameras = cameras(4);
+    let (scene, photos) = photos(&cameras);
+    let request = |steps| RefineOptions { length: RefineLength::Steps(steps), ..sixty_steps_at_full_size() };
+    assert_continues(&moved(&scene), &photos, &cameras, &request(150), [1, 149]);
+    let [few, many] = [100, 150].map(|steps| refine(&scene, &photos, &cameras, &request(steps)).losses[0]);
+    assert!(2.0 * few < many, "{few} {many}");
 }
 
 #[test]

@@ -202,6 +202,14 @@ impl CameraArgs {
     }
 }
 
+#[derive(Args)]
+pub struct WorldPhoto {
+    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
+    /// cameras' world]
+    #[arg(long, value_name = "PHOTO", requires = "cameras")]
+    pub relative_to: Option<PathBuf>,
+}
+
 /// Maps a file's cameras to the scene's world, with a note.
 pub fn to_scene(
     relative_to: Option<&Path>,

@@ -1,5 +1,5 @@
 use crate::{
-    cameras::to_scene,
+    cameras::{WorldPhoto, to_scene},
     lifted,
     options::SceneInput,
     outputs::{self, Overwrite, size_of},
@@ -44,10 +44,8 @@ pub struct Edit {
     /// Cameras for --min-views, --level and --clean: transforms.json or a COLMAP model's folder
     #[arg(long, value_name = "PATH")]
     cameras: Option<PathBuf>,
-    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
-    /// cameras' world]
-    #[arg(long, value_name = "PHOTO", requires = "cameras")]
-    relative_to: Option<PathBuf>,
+    #[command(flatten)]
+    world_photo: WorldPhoto,
     /// Features of the scenes, of `lift`, one file each; the edited scene's are written beside it,
     /// as .safetensors
     #[arg(long, value_name = "FILE", num_args = 1..)]
@@ -183,7 +181,7 @@ impl Edit {
         let Some(path) = &self.cameras else { return Ok(Vec::new()) };
         let capture = Capture::open(path)?;
         session.notes(&capture.warnings);
-        let (to_scene, note) = to_scene(self.relative_to.as_deref(), &capture, world, path)?;
+        let (to_scene, note) = to_scene(self.world_photo.relative_to.as_deref(), &capture, world, path)?;
         session.notes(note);
         Ok(capture.frames.iter().map(|frame| to_scene.apply(&frame.upright_camera())).collect())
     }

@@ -1,5 +1,5 @@
 use crate::{
-    cameras::{Finding, KnownCameras, Similarity, to_scene},
+    cameras::{Finding, KnownCameras, Similarity, WorldPhoto, to_scene},
     explain::Explanation,
     options::SceneInput,
     outputs::{self, Overwrite},
@@ -58,10 +58,8 @@ pub struct Refine {
     cameras: PathBuf,
     #[command(flatten)]
     finding: Finding,
-    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
-    /// cameras' world]
-    #[arg(long, value_name = "PHOTO")]
-    relative_to: Option<PathBuf>,
+    #[command(flatten)]
+    world_photo: WorldPhoto,
     /// Optimization steps, or a time, such as 60s
     #[arg(long, value_name = "N|TIME", default_value = DEFAULT_LENGTH, value_parser = parse_steps)]
     steps: RefineTask,
@@ -163,9 +161,10 @@ impl Refine {
             scene = Some(self.input.read(session, path)?.0);
             scene_world = read_world(path)?;
         }
-        let (to_scene, note) = to_scene(self.relative_to.as_deref(), poses, scene_world.as_ref(), &self.cameras)?;
+        let (to_scene, note) =
+            to_scene(self.world_photo.relative_to.as_deref(), poses, scene_world.as_ref(), &self.cameras)?;
         note.iter().for_each(|note| session.note(note));
-        let world = match (scene_world, &self.relative_to) {
+        let world = match (scene_world, &self.world_photo.relative_to) {
             (_, Some(photo)) => World::of_first(&poses.frames_of(&[photo])?),
             (scene_world, None) => scene_world.or_else(|| World::of_cameras(frames)),
         };

@@ -1,4 +1,5 @@
 use crate::{
+    cameras::WorldPhoto,
     heic::is_heic,
     html::data_url,
     lifted,
@@ -73,9 +74,8 @@ pub struct View {
     /// written page holds thumbnails
     #[arg(long, value_name = "DIR", requires = "cameras")]
     photos: Option<PathBuf>,
-    /// Photo whose camera is the scene's world [default: that of the scene's file]
-    #[arg(long, value_name = "PHOTO", requires = "cameras")]
-    relative_to: Option<PathBuf>,
+    #[command(flatten)]
+    world_photo: WorldPhoto,
     /// Gaussians per token of the scene's file, for the token view
     #[arg(long, alias = "group", value_name = "N")]
     gaussians_per_token: Option<NonZeroUsize>,
@@ -159,7 +159,7 @@ impl View {
             ("--gaussians-per-token", self.gaussians_per_token.is_some()),
             ("--features", !self.features.is_empty()),
             ("--photos", self.photos.is_some()),
-            ("--relative-to", self.relative_to.is_some()),
+            ("--relative-to", self.world_photo.relative_to.is_some()),
         ];
         refuse_all(options, "photos", "a scene's file")?;
         self.input.refuse_dropping("photos", "a scene's file")?;
@@ -248,7 +248,7 @@ impl View {
             None if self.output.is_some() => None,
             None => frame.photo.clone(),
         };
-        let (cameras, notes) = input_cameras(poses, self.relative_to.as_deref(), world.as_ref(), photo_of)?;
+        let (cameras, notes) = input_cameras(poses, self.world_photo.relative_to.as_deref(), world.as_ref(), photo_of)?;
         notes.iter().for_each(|note| session.note(note));
         if let Some(folder) = &self.photos
             && !cameras.iter().any(InputCamera::has_photo)

@@ -29,7 +29,7 @@ const EVALUATIONS: usize = 20;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB by a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
-/// Divergence limit: mean loss over its minimum. Growth may double the loss briefly.
+/// Divergence limit: mean loss over its minimum, which growth may double briefly.
 const DIVERGED: f32 = 4.0;
 
 pub(super) struct Refinement<'a> {
@@ -212,8 +212,7 @@ impl<'a> Refinement<'a> {
         if first < steps {
             self.reserve()?;
         }
-        let mut snapshots = Snapshots::new(self.options.snapshots, first, steps);
-        let mut step = first;
+        let (mut snapshots, mut step) = (Snapshots::new(self.options.snapshots, first, steps), first);
         while step < steps {
             self.resize(step);
             if step == self.first_exposed {
@@ -388,10 +387,11 @@ impl<'a> Refinement<'a> {
     /// A loss is of the Gaussians before its step: it validates the marked checkpoint, not the
     /// current state.
     fn check_loss(&mut self) -> Option<String> {
-        let round = self.training.len().div_ceil(self.options.views_per_step);
+        let (least, limit) = if self.gaussians.dropout > 0.0 { (self.interval, 4.0 * DIVERGED) } else { (1, DIVERGED) };
+        let round = self.training.len().div_ceil(self.options.views_per_step).max(least);
         let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;
         let loss = self.losses[last..].iter().sum::<f32>() / round as f32;
-        if loss > DIVERGED * self.least {
+        if loss > limit * self.least {
             return Some(format!("the loss grew from {:.4} to {loss:.4}", self.least));
         }
         (self.latest, self.least) = (loss, self.least.min(loss));
