@@ -6,7 +6,7 @@ use std::{iter::successors, time::Duration};
 
 /// Fewest steps with growth or, without it, cleared floaters.
 pub(super) const GROWTH_FROM: usize = 50;
-/// Largest dropout, and uses of a photo from which it starts and is the largest.
+/// Largest fraction of hidden Gaussians, and the uses of a photo between which it rises from 0.
 const DROPOUT: f64 = 0.1;
 const DROPOUT_USES: [f64; 2] = [100.0, 300.0];
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
@@ -22,8 +22,8 @@ const SHORTEST: u32 = 240;
 /// Fraction of the Gaussians that a step hides.
 pub(super) fn dropout(options: &RefineOptions, steps: f64, training: usize) -> f64 {
     let uses = steps * options.views_per_step as f64 / training as f64;
-    let [none, all] = DROPOUT_USES;
-    DROPOUT * ((uses - none) / (all - none)).clamp(0.0, 1.0)
+    let [first, last] = DROPOUT_USES;
+    DROPOUT * ((uses - first) / (last - first)).clamp(0.0, 1.0)
 }
 
 /// Number of Gaussians that a scene of `len` grows to, if any.

@@ -74,7 +74,6 @@ pub(super) struct Training<'a> {
     pub depth: bool,
 }
 
-/// What differs between steps.
 #[derive(Clone, Copy, Default)]
 pub(super) struct StepInputs {
     pub depth_weight: f32,

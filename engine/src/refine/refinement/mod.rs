@@ -29,8 +29,8 @@ const EVALUATIONS: usize = 20;
 const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB by a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
-/// Divergence limit: mean loss over its minimum, which growth may double briefly.
-const DIVERGED: f32 = 4.0;
+/// Divergence limits without and with dropout: mean loss over its minimum. Growth may double it.
+const DIVERGED: [f32; 2] = [4.0, 16.0];
 
 pub(super) struct Refinement<'a> {
     pub photos: PhotoCache<'a>,
@@ -387,11 +387,11 @@ impl<'a> Refinement<'a> {
     /// A loss is of the Gaussians before its step: it validates the marked checkpoint, not the
     /// current state.
     fn check_loss(&mut self) -> Option<String> {
-        let (least, limit) = if self.gaussians.dropout > 0.0 { (self.interval, 4.0 * DIVERGED) } else { (1, DIVERGED) };
-        let round = self.training.len().div_ceil(self.options.views_per_step).max(least);
-        let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;
-        let loss = self.losses[last..].iter().sum::<f32>() / round as f32;
-        if loss > limit * self.least {
+        let hides = usize::from(self.gaussians.dropout > 0.0);
+        let count = self.training.len().div_ceil(self.options.views_per_step).max(hides * self.interval);
+        let last = self.losses.len().checked_sub(count).filter(|first| *first >= self.began)?;
+        let loss = self.losses[last..].iter().sum::<f32>() / count as f32;
+        if loss > DIVERGED[hides] * self.least {
             return Some(format!("the loss grew from {:.4} to {loss:.4}", self.least));
         }
         (self.latest, self.least) = (loss, self.least.min(loss));
